@@ -1,0 +1,298 @@
+"""Kinks of the profile: where q jumps up. Found on any grid solution, numbered for life.
+
+A shock spreads over a few cells. It is told from a smooth rise by its width: a rise of q by J whose steepest part is d
+per cell has width J/d cells, and a grid cannot resolve what is narrower than WIDEST cells. The kink lies where two
+straight lines, continuing q from either side, hold the mass that the cells between them hold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from hjprofile.problem.erosion import ErosionLaw
+from hjprofile.problem.grid import Grid
+from hjprofile.solvers.run import Array, Event, KinkRecord, State
+
+LEAST_JUMP = 0.05  # a weaker jump cannot be told from a steep smooth rise on grids of a thousand cells
+WIDEST = 16  # cells over which a shock may spread; Lax-Friedrichs spreads a jump of 0.4 over this many
+FOOT = 0.08  # a rise ends where it falls below this part of its steepest rise per cell
+GAP, FIT = 1, 4  # cells left out beside the rise, and cells to which a line is fitted
+MEMORY = 10  # sightings from which the path of a kink is extrapolated to a merge or to x = 0
+LEAST_LIFE = 3  # sightings that make a kink; fewer are a flicker of the threshold
+
+
+class Sighting(NamedTuple):
+    """A kink found at one moment."""
+
+    x: float
+    q_left: float
+    q_right: float
+    K: float  # at the kink
+
+    @property
+    def jump(self) -> float:
+        return self.q_right - self.q_left
+
+
+def detect_kinks(grid: Grid, q: Array, K: Array) -> list[Sighting]:
+    """The kinks of cell means q (shape (cells,)) with K on the nodes, from left to right."""
+    found = []
+    for a, b in _rises(q):
+        sighting = _locate(grid, q, K, a, b)
+        if sighting is not None and sighting.jump >= LEAST_JUMP:
+            found.append(sighting)
+    return found
+
+
+def _rises(q: Array) -> list[tuple[int, int]]:
+    """Cells (a, b) between which q rises too steeply for the grid: a is the foot, b the crest."""
+    d = np.diff(q)
+    steep = d >= LEAST_JUMP / WIDEST
+    peaks = np.flatnonzero(steep & (d >= np.append(d[1:], -np.inf)) & (d > np.append(-np.inf, d[:-1])))
+    rises: list[tuple[int, int]] = []
+    for p in peaks:
+        floor, a, b = FOOT * d[p], p, p + 1
+        while a > 0 and p - a < 2 * WIDEST and d[a - 1] > floor:
+            a -= 1
+        while b < q.size - 1 and b - p < 2 * WIDEST and d[b] > floor:
+            b += 1
+        if q[b] - q[a] > WIDEST * d[p]:
+            continue
+        if rises and a < rises[-1][1]:  # two peaks in one rise
+            a0, b0 = rises.pop()
+            # ... are one kink unless q between them has nearly levelled out
+            a, b = (a0, max(b, b0))
+        rises.append((a, b))
+    return rises
+
+
+def _line(grid: Grid, q: Array, first: int, last: int, near: float) -> tuple[float, float]:
+    """Value and slope at x = `near` of the line through cells first..last; flat where they are fewer than three."""
+    n = last - first + 1
+    x = grid.centres[first : last + 1] - near
+    values = q[first : last + 1]
+    if n < 3:
+        return float(values[-1] if x[-1] < 0 else values[0]), 0.0
+    centred = x - x.mean()
+    slope = float(centred @ values / (centred @ centred))
+    return float(values.mean() - slope * x.mean()), slope
+
+
+def _locate(grid: Grid, q: Array, K: Array, a: int, b: int) -> Sighting | None:
+    """Place of the kink between foot a and crest b by conservation, with one-sided values there."""
+    x, dx = grid.nodes, grid.dx
+    middle = 0.5 * (x[a] + x[b + 1])
+    left_end, right_end = a - GAP, b + GAP  # the cells nearest to the rise that the lines are fitted to
+    left_start = left_end - FIT + 1
+    right_stop = right_end + FIT - 1
+    # never fit across a neighbouring rise or the end of the grid
+    d = np.diff(q)
+    steep = LEAST_JUMP / WIDEST
+    while left_start < max(left_end, 0) and (left_start < 0 or d[left_start] > steep):
+        left_start += 1
+    while right_stop > min(right_end, q.size - 1) and (right_stop >= q.size or d[right_stop - 1] > steep):
+        right_stop -= 1
+    left_end, right_end = max(left_end, 0), min(right_end, q.size - 1)
+    ql, sl = _line(grid, q, min(max(left_start, 0), left_end), left_end, middle)
+    qr, sr = _line(grid, q, right_end, max(min(right_stop, q.size - 1), right_end), middle)
+    if left_end > a:
+        ql, sl = float(q[a]), 0.0
+    if right_end < b:
+        qr, sr = float(q[b]), 0.0
+    if not qr > ql:
+        return None
+    start, stop = x[min(a, left_end)], x[max(b, right_end) + 1]
+    mass = dx * float(np.sum(q[min(a, left_end) : max(b, right_end) + 1]))
+    s = middle
+    for _ in range(8):  # ∫ left line up to s + ∫ right line from s on = mass; Newton
+        held = (
+            ql * (s - start) + 0.5 * sl * ((s - middle) ** 2 - (start - middle) ** 2)
+            + qr * (stop - s) + 0.5 * sr * ((stop - middle) ** 2 - (s - middle) ** 2)
+        )  # fmt: skip
+        jump = (qr + sr * (s - middle)) - (ql + sl * (s - middle))
+        if not jump > 0:
+            return None
+        s = min(max(s + (held - mass) / jump, start), stop)
+    left, right = ql + sl * (s - middle), qr + sr * (s - middle)
+    if not (right > left > -1.0):
+        return None
+    return Sighting(float(s), left, right, float(np.interp(s, x[a : b + 2], K[a : b + 2])))
+
+
+@dataclass
+class _Path:
+    """One kink through time."""
+
+    number: int
+    times: list[float] = field(default_factory=list)
+    sightings: list[Sighting] = field(default_factory=list)
+    born: bool = False
+    end: tuple[str, float, int | None, float] | None = None  # event, time, into, x
+
+    def add(self, t: float, sighting: Sighting) -> None:
+        self.times.append(t)
+        self.sightings.append(sighting)
+
+    def recent(self) -> tuple[Array, Array]:
+        """Times and places of the last MEMORY sightings."""
+        return np.array(self.times[-MEMORY:]), np.array([s.x for s in self.sightings[-MEMORY:]])
+
+
+class KinkTracker:
+    """A monitor that detects kinks in every state it sees and links the sightings into paths."""
+
+    def __init__(self, law: ErosionLaw, grid: Grid):
+        self.law, self.grid = law, grid
+        self.frames: list[tuple[float, list[Sighting]]] = []
+
+    def observe(self, state: State) -> None:
+        self.frames.append((state.t, detect_kinks(self.grid, state.q, state.K)))
+
+    def result(self, kept: Sequence[float]) -> tuple[list[KinkRecord], list[Event]]:
+        """Kinks at the kept times, and the events of the whole run."""
+        paths = link(self.frames, self.grid.dx, self._speed)
+        records = []
+        for t in kept:
+            rows = [(path, path.times.index(t)) for path in paths if t in path.times]
+            for path, i in sorted(rows, key=lambda row: row[0].sightings[row[1]].x):
+                s = path.sightings[i]
+                records.append(
+                    KinkRecord(
+                        float(t), path.number, s.x, s.q_left, s.q_right, s.jump,
+                        _measured_speed(path, i, self.grid.dx), self._speed(s),
+                    )
+                )  # fmt: skip
+        return records, events_of(paths)
+
+    def _speed(self, s: Sighting) -> float:
+        """Rankine-Hugoniot: K [f]/[q]."""
+        return s.K * float(self.law.f(s.q_right) - self.law.f(s.q_left)) / s.jump
+
+
+def link(frames: Sequence[tuple[float, list[Sighting]]], dx: float, speed) -> list[_Path]:
+    """Links sightings at successive times into paths; `speed` maps a sighting to its Rankine-Hugoniot speed.
+
+    Kinks in the first frame are numbered from the left, later ones in the order of their births. Of two that merge the
+    one with the lower number lives on.
+    """
+    paths: list[_Path] = []
+    living: list[_Path] = []
+    last = None
+    for t, sightings in frames:
+        dt = 0.0 if last is None else t - last
+        claims: dict[int, list[_Path]] = {}
+        for path in living:
+            s = path.sightings[-1]
+            ahead = s.x + speed(s) * dt
+            reach = 4 * dx + abs(speed(s)) * dt
+            near = [i for i, new in enumerate(sightings) if abs(new.x - ahead) <= reach]
+            if near:
+                claims.setdefault(min(near, key=lambda i: abs(sightings[i].x - ahead)), []).append(path)
+        _untangle(claims, sightings, living)
+        survivors: list[_Path] = []
+        for path in living:
+            if not any(path in claimants for claimants in claims.values()):
+                _leave(path, t, dx, speed)
+        for i, new in enumerate(sightings):
+            claimants = claims.get(i, [])
+            if not claimants:
+                path = _Path(len(paths) + 1, born=last is not None)
+                paths.append(path)
+            else:
+                path = min(claimants, key=lambda p: p.number)
+                for other in claimants:
+                    if other is not path:
+                        time, x = _meeting(path, other, speed)
+                        other.end = ("merge", time, path.number, x)
+            path.add(t, new)
+            survivors.append(path)
+        living, last = survivors, t
+    return _without_flicker(paths, frames[-1][0] if frames else 0.0)
+
+
+def _untangle(claims: dict[int, list[_Path]], sightings: list[Sighting], living: list[_Path]) -> None:
+    """Where two paths claim one sighting and its neighbour is unclaimed, kinks keep their order instead of merging."""
+    for i in list(claims):
+        claimants = sorted(claims[i], key=lambda p: p.sightings[-1].x)
+        if len(claimants) < 2:
+            continue
+        for j, mover in ((i - 1, claimants[0]), (i + 1, claimants[-1])):
+            if 0 <= j < len(sightings) and j not in claims:
+                if abs(sightings[j].x - mover.sightings[-1].x) < 2 * abs(sightings[i].x - mover.sightings[-1].x) + 1e-12:
+                    claims[i].remove(mover)
+                    claims[j] = [mover]
+                    break
+
+
+def _leave(path: _Path, t: float, dx: float, speed) -> None:
+    """Ends a path that was lost from sight: an exit if it was about to reach x = 0."""
+    times, x = path.recent()
+    velocity = _slope(times, x) if len(times) > 2 else speed(path.sightings[-1])
+    if velocity <= 0:
+        velocity = speed(path.sightings[-1])
+    arrival = times[-1] - x[-1] / velocity
+    if x[-1] > -3 * WIDEST * dx and arrival <= t + 2 * WIDEST * dx / velocity:
+        path.end = ("exit", float(arrival), None, 0.0)
+
+
+def _slope(t: Array, x: Array) -> float:
+    centred = t - t.mean()
+    return float(centred @ x / (centred @ centred))
+
+
+def _meeting(a: _Path, b: _Path, speed) -> tuple[float, float]:
+    """When and where two paths meet, from their last common sightings: shocks that touch are seen as one too early."""
+    common = [t for t in a.times if t in set(b.times)][-MEMORY:]
+    xa = np.array([a.sightings[a.times.index(t)].x for t in common])
+    xb = np.array([b.sightings[b.times.index(t)].x for t in common])
+    t, gap = np.array(common), xb - xa
+    if len(common) > 3:
+        closing = -_slope(t, gap)
+        velocity = _slope(t, xa)
+        gap_now, here, now = gap.mean(), xa.mean(), t.mean()
+    else:
+        closing = (speed(a.sightings[-1]) - speed(b.sightings[-1])) * np.sign(gap[-1])
+        velocity, gap_now, here, now = speed(a.sightings[-1]), gap[-1], xa[-1], t[-1]
+    wait = abs(gap_now) / abs(closing) if closing * np.sign(gap_now) > 0 else t[-1] - now
+    return float(now + wait), float(here + velocity * wait)
+
+
+def _without_flicker(paths: list[_Path], end: float) -> list[_Path]:
+    """Drops paths too short to be kinks, and numbers the others anew in the order of their births."""
+    merged_into = {p.end[2] for p in paths if p.end and p.end[0] == "merge"}
+    lasting = [
+        p for p in paths if len(p.times) >= LEAST_LIFE or not p.born or p.times[-1] == end or p.number in merged_into
+    ]
+    renumbered = {p.number: i for i, p in enumerate(lasting, start=1)}
+    for p in lasting:
+        p.number = renumbered[p.number]
+        if p.end and p.end[0] == "merge":
+            p.end = (p.end[0], p.end[1], renumbered[p.end[2]], p.end[3])  # type: ignore[index]
+    return [p for p in lasting if not (p.end and p.end[1] > end) or p.times]
+
+
+def _measured_speed(path: _Path, i: int, dx: float) -> float:
+    """Slope of a line through the sightings around the i-th, over a few cells of travel; NaN if there is only one."""
+    first, last = i, i
+    while last - first < MEMORY and (first > 0 or last < len(path.times) - 1):
+        first, last = max(first - 1, 0), min(last + 1, len(path.times) - 1)
+    if last == first:
+        return float("nan")
+    t = np.array(path.times[first : last + 1])
+    return _slope(t, np.array([s.x for s in path.sightings[first : last + 1]]))
+
+
+def events_of(paths: Sequence[_Path]) -> list[Event]:
+    """Births, merges and exits in the order of time."""
+    events = []
+    for p in paths:
+        if p.born:
+            events.append(Event(p.times[0], "birth", p.number, None, p.sightings[0].x))
+        if p.end:
+            kind, t, into, x = p.end
+            events.append(Event(t, kind, p.number, into, x))
+    return sorted(events)

@@ -1,0 +1,315 @@
+"""Erosion laws f(q): how fast an avalanche of unit thickness erodes a slope of excess q = u_x - 1.
+
+Assumptions [eq:f]: f in C², f(0) = 0, f' > 0, f'' < 0, f -> -∞ as q -> -1, f(q)/q -> 0 as q -> ∞.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import Chebyshev
+
+from hjprofile.problem.errors import InputError
+
+Array = np.ndarray
+Function = Callable[[Any], Any]
+
+NEAR_ZERO = 0.05  # |q| below which q/f(q) is read from a polynomial: there f may be a difference of numbers of order one
+_STENCIL = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])  # eighth-order central difference
+
+
+def differentiate(f: Function) -> Function:
+    """f' by an eighth-order central difference with steps of 1 % of 1 + q, so that it never leaves q > -1.
+
+    On a scale of 1 + q truncation is below 1e-14 for logarithms and powers, rounding about 1e-14.
+    """
+
+    def derivative(q):
+        h = 0.01 * (1.0 + np.asarray(q, dtype=float))
+        return sum(c * (f(q + k * h) - f(q - k * h)) for k, c in enumerate(_STENCIL, start=1)) / h
+
+    return derivative
+
+
+@dataclass(frozen=True)
+class ErosionLaw:
+    """An erosion function with all that is derived from it; every function takes and returns arrays.
+
+    Attributes:
+        f: the erosion function, defined for q > -1.
+        derivative: f', positive and decreasing.
+        table: the `[erosion]` table of a case file that makes this law again.
+        closed_inverse: f⁻¹ where it is known in closed form.
+    """
+
+    f: Function
+    derivative: Function
+    table: Mapping[str, Any] = field(default_factory=dict)
+    closed_inverse: Function | None = None
+
+    @property
+    def name(self) -> str:
+        return str(self.table["law"])
+
+    def inverse(self, y) -> Array:
+        """f⁻¹(y): the excess slope at which erosion is y. Raises ValueError where y is not a value of f."""
+        y = np.asarray(y, dtype=float)
+        if self.closed_inverse is not None:
+            q = self.closed_inverse(y)
+        else:
+            from scipy.optimize import elementwise
+
+            # in v = ln(1+q), where a law that is logarithmic at both ends is nearly straight
+            def residual(v, y):
+                return self.f(np.expm1(v)) - y
+
+            bracket = elementwise.bracket_root(residual, -0.5, 0.5, xmin=-36.0, xmax=600.0, args=(y,))
+            q = np.expm1(elementwise.find_root(residual, bracket.bracket, args=(y,)).x)
+        if not np.all(np.isfinite(q) & (q > -1.0)):
+            raise ValueError("f does not reach every requested value, so its inverse does not exist there")
+        return q
+
+    @cached_property
+    def _f_over_q(self) -> Chebyshev:
+        """f(q)/q for |q| <= NEAR_ZERO; an even number of nodes keeps q = 0 out of the sample."""
+        return Chebyshev.interpolate(lambda q: self.f(q) / q, 13, domain=[-NEAR_ZERO, NEAR_ZERO])
+
+    @cached_property
+    def _f_over_q_derivative(self) -> Chebyshev:
+        return self._f_over_q.deriv()
+
+    def R(self, q) -> Array:
+        """R = q/f(q), increasing; R(0) = 1/f'(0). W + R(q) is constant along characteristics (theory, §4)."""
+        q = np.asarray(q, dtype=float)
+        near = np.abs(q) <= NEAR_ZERO
+        away = np.where(near, 1.0, q)
+        return np.where(near, 1.0 / self._f_over_q(np.clip(q, -NEAR_ZERO, NEAR_ZERO)), away / self.f(away))
+
+    def R_derivative(self, q) -> Array:
+        """R'(q) = (f - q f')/f² > 0."""
+        q = np.asarray(q, dtype=float)
+        near = np.abs(q) <= NEAR_ZERO
+        inner, away = np.clip(q, -NEAR_ZERO, NEAR_ZERO), np.where(near, 1.0, q)
+        f = self.f(away)
+        return np.where(
+            near,
+            -self._f_over_q_derivative(inner) / self._f_over_q(inner) ** 2,
+            (f - away * self.derivative(away)) / f**2,
+        )
+
+    def decay(self, q0: float, distance) -> Array:
+        """q at `distance` >= 0 to the right of a place with q = q0, where W + R(q) is constant in x.
+
+        Solves R'(q) q_x = -q (theory, §4); for the rational law q = q0 exp(-distance).
+        """
+        distance = np.asarray(distance, dtype=float)
+        if self.name == "rational" or q0 == 0.0:
+            return q0 * np.exp(-distance)
+        from scipy.integrate import solve_ivp
+
+        sign = np.sign(q0)
+        asked, back = np.unique(distance, return_inverse=True)
+        solution = solve_ivp(  # in ln|q|, in which the decay is nearly straight
+            lambda x, log_q: -1.0 / self.R_derivative(sign * np.exp(log_q)),
+            (0.0, max(asked[-1], 1e-300)), [np.log(abs(q0))],
+            method="DOP853", t_eval=asked, rtol=1e-13, atol=1e-13,
+        )  # fmt: skip
+        return (sign * np.exp(solution.y[0]))[back].reshape(distance.shape)
+
+
+def rational() -> ErosionLaw:
+    """f = q/(1+q), the law of the slow-erosion limit [fex]."""
+    return ErosionLaw(
+        f=lambda q: q / (1.0 + q),
+        derivative=lambda q: 1.0 / np.square(1.0 + q),
+        table={"law": "rational"},
+        closed_inverse=lambda y: np.where(y < 1.0, y / np.where(y < 1.0, 1.0 - y, 1.0), np.nan),
+    )
+
+
+def log() -> ErosionLaw:
+    """f = ln(1+q)."""
+    return ErosionLaw(
+        f=np.log1p,
+        derivative=lambda q: 1.0 / (1.0 + q),
+        table={"law": "log"},
+        closed_inverse=np.expm1,
+    )
+
+
+def power(m: float) -> ErosionLaw:
+    """f = (1 - (1+q)^-m)/m with m > 0; m = 1 is the rational law, m -> 0 the logarithm."""
+    if not (np.isfinite(m) and m > 0):
+        raise InputError(f"m = {m} must be a positive number")
+
+    def inverse(y):
+        base = 1.0 - m * np.asarray(y)
+        return np.where(base > 0, np.expm1(-np.log(np.where(base > 0, base, 1.0)) / m), np.nan)
+
+    return ErosionLaw(
+        f=lambda q: -np.expm1(-m * np.log1p(q)) / m,
+        derivative=lambda q: np.exp(-(m + 1.0) * np.log1p(q)),
+        table={"law": "power", "m": float(m)},
+        closed_inverse=inverse,
+    )
+
+
+_FUNCTIONS = {name: getattr(np, name) for name in ("exp", "log", "log1p", "expm1", "sqrt")}
+_NODES = (
+    ast.Expression, ast.BinOp, ast.UnaryOp, ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.UAdd, ast.USub,
+    ast.Name, ast.Load, ast.Call, ast.Constant,
+)  # fmt: skip
+
+
+class _FloatConstants(ast.NodeTransformer):
+    """Turns integers into floats, so that no power of integers can grow without bound."""
+
+    def visit_Constant(self, node: ast.Constant) -> ast.Constant:
+        return ast.copy_location(ast.Constant(float(node.value)), node)  # type: ignore[arg-type]
+
+
+def expression(text: str) -> ErosionLaw:
+    """A law from an arithmetic expression in q: numbers, + - * / **, exp, log, log1p, expm1, sqrt.
+
+    The syntax tree is checked against that list before anything is compiled. Raises InputError for anything
+    else, and for a law that breaks an assumption.
+    """
+    allowed = f"allowed are numbers, q, + - * / ** and the functions {', '.join(_FUNCTIONS)}"
+    if len(text) > 1000:
+        raise InputError(f"expression is {len(text)} characters long; at most 1000 are allowed")
+    try:
+        tree = ast.parse(text.strip(), mode="eval")
+        for node in ast.walk(tree):
+            called = {id(n.func) for n in ast.walk(tree) if isinstance(n, ast.Call)}
+            fine = isinstance(node, _NODES)
+            if isinstance(node, ast.Constant):
+                fine = type(node.value) in (int, float) and np.isfinite(float(node.value))
+            elif isinstance(node, ast.Name):
+                fine = node.id in _FUNCTIONS if id(node) in called else node.id == "q"
+            elif isinstance(node, ast.Call):
+                fine = isinstance(node.func, ast.Name) and len(node.args) == 1 and not node.keywords
+            if not fine:
+                part = ast.unparse(node) or type(node).__name__
+                raise InputError(f"expression = {text!r} contains {part!r}; {allowed}")
+        tree = ast.fix_missing_locations(_FloatConstants().visit(tree))
+        code = compile(tree, "<expression>", "eval")
+    except (SyntaxError, RecursionError, MemoryError, OverflowError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"expression = {text!r} is not an arithmetic expression; {allowed}") from None
+
+    def f(q):
+        with np.errstate(all="ignore"):
+            try:
+                value = eval(code, {"__builtins__": {}, **_FUNCTIONS, "q": q})
+            except (ArithmeticError, RecursionError):  # among constants: 1/0, 9.0**9.0**9.0
+                value = np.nan
+            return value + 0.0 * q
+
+    return from_function(f, table={"law": "expression", "expression": text.strip()})
+
+
+def from_function(
+    f: Function, derivative: Function | None = None, inverse: Function | None = None, table: Mapping | None = None
+) -> ErosionLaw:
+    """A law from a Python function of q; f' and the inverse are derived where they are not given.
+
+    `f` may take arrays, or single numbers only (slower). Raises InputError if an assumption of [eq:f] is broken.
+    """
+    name = getattr(f, "__name__", "f")
+    vectorised = _over_arrays(f)
+    law = ErosionLaw(
+        f=vectorised,
+        derivative=_over_arrays(derivative) if derivative is not None else differentiate(vectorised),
+        table=table or {"law": "python", "file": getattr(f, "__module__", ""), "function": name},
+        closed_inverse=inverse,
+    )
+    check_assumptions(law)
+    return law
+
+
+def from_file(path: Path, function: str, file: str | None = None) -> ErosionLaw:
+    """A law from the function of that name in a Python file, which is run."""
+    f = load_function(path, function)
+    return from_function(f, table={"law": "python", "file": file or str(path), "function": function})
+
+
+def load_function(path: Path, function: str) -> Function:
+    """The function of that name in a Python file. Running the file runs its author's code."""
+    if not path.is_file():
+        raise InputError(f"file = {str(path)!r} does not exist")
+    spec = importlib.util.spec_from_file_location(f"hjprofile_user_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise InputError(f"file = {str(path)!r} is not a Python file (.py)")
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise InputError(f"file = {str(path)!r} could not be run: {type(error).__name__}: {error}") from error
+    f = getattr(module, function, None)
+    if not callable(f):
+        raise InputError(f"function = {function!r} is not defined in {path.name}")
+    return f
+
+
+def _over_arrays(f: Function) -> Function:
+    """f itself if it maps arrays element by element, else a loop over it."""
+    probe = np.array([0.5, -0.3, 2.0])
+    try:
+        values = np.asarray(f(probe), dtype=float)
+        if values.shape == probe.shape and np.allclose(
+            values, [float(f(float(q))) for q in probe], rtol=1e-12, atol=0, equal_nan=True
+        ):
+            return f
+    except Exception:  # whatever a scalar function raises when it is handed an array
+        pass
+    looped = np.vectorize(f, otypes=[float])
+    return lambda q: looped(q)
+
+
+def check_assumptions(law: ErosionLaw) -> None:
+    """Raises InputError naming the assumption of [eq:f] that the law breaks and a q where it does."""
+    v = np.linspace(np.log(1e-8), np.log(1e8), 4001)  # ln(1+q)
+    q = np.expm1(v)
+    try:
+        with np.errstate(all="ignore"):
+            f, df = np.asarray(law.f(q), dtype=float), np.asarray(law.derivative(q), dtype=float)
+            f0 = float(law.f(np.array(0.0)))
+    except Exception as error:
+        raise InputError(f"the law cannot be evaluated: {type(error).__name__}: {error}") from error
+
+    def refuse(assumption: str, where: float) -> None:
+        raise InputError(f"the law is not an erosion function: {assumption} fails at q = {where:.10g}")
+
+    if not np.isfinite(f0) or abs(f0) > 1e-12:
+        raise InputError(f"the law is not an erosion function: f(0) = 0 fails at q = 0, where f = {f0:.6g}")
+    # A derivative found by differences carries rounding of about 1e-14 f/(1+q); far below it nothing can be said.
+    resolved = np.abs(df) > 1e-9 * np.abs(f) / (1 + q)
+    flat = (df <= 0) & (resolved | (q < 100))
+    if flat.any():
+        refuse("f' > 0", q[np.argmax(flat)])
+    rising = (df[1:] >= df[:-1] * (1 - 1e-10)) & resolved[1:] & resolved[:-1]
+
+    def refuse_convexity(within: Array) -> None:
+        at = np.flatnonzero(rising & within)
+        if at.size:
+            refuse("f'' < 0", q[at[np.argmin(np.abs(v[at]))]])
+
+    # (1+q) f' is the slope of f in ln(1+q): where it dies out towards q = -1, f has a finite limit there.
+    slope = (1 + q) * df
+    if slope[0] < 0.5 * np.interp(np.log(1e-4), v, slope):
+        refuse("f -> -infinity as q -> -1", q[0])
+    refuse_convexity(q[1:] < 100)
+    broken = ~(np.isfinite(f) & np.isfinite(df))
+    if broken.any():
+        refuse("that f is finite with a derivative for every q > -1", q[np.argmax(broken)])
+    if df[-1] > 0.5 * np.interp(np.log(1e4), v, df):
+        refuse("f(q)/q -> 0 as q -> infinity (sublinear growth)", q[-1])
+    refuse_convexity(q[1:] >= 100)

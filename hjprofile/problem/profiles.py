@@ -1,0 +1,471 @@
+"""Initial profiles, each known through W(x) = u - x, the height above the critical slope.
+
+Cell means of the excess slope q = u_x - 1 are differences of W, so a profile that gives W exactly gives exact
+cell means. W may tend to any constant on the left; only its slope enters the equation.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hjprofile.problem.erosion import Array, ErosionLaw
+from hjprofile.problem.errors import InputError
+from hjprofile.problem.grid import Grid
+
+TAIL = 1e-6  # mass and slope that a grid may cut off on the left; a grid solver's own error is larger
+REPAIR_SLOPE = 0.05  # least slope that a repaired survey keeps, as a fraction of the critical slope
+
+
+def _numbers(name: str, values: Sequence[float], least: int = 1) -> Array:
+    try:
+        array = np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} = {values!r} must be a list of numbers") from None
+    if array.ndim != 1 or array.size < least:
+        raise InputError(f"{name} = {values!r} must be a list of at least {least} numbers")
+    if not np.all(np.isfinite(array)):
+        raise InputError(f"{name}[{np.argmin(np.isfinite(array))}] must be a finite number")
+    return array
+
+
+def _same_length(**named: Array) -> None:
+    (first, a), *others = named.items()
+    for name, b in others:
+        if a.size != b.size:
+            raise InputError(f"{name} has {b.size} entries and {first} has {a.size}; they must be as many")
+
+
+def _above_minus_one(name: str, values: Array) -> None:
+    if np.any(values <= -1.0):
+        i = int(np.argmax(values <= -1.0))
+        raise InputError(f"{name}[{i}] = {values[i]:g} must be above -1: the slope u_x = 1 + q is positive")
+
+
+@dataclass(frozen=True)
+class Units:
+    """The way back from a dimensionless solution to the survey's units.
+
+    Attributes:
+        length: exchange length.
+        critical_slope: height over length.
+        x_top, height_top: where the survey's last point lies.
+    """
+
+    length: float
+    critical_slope: float
+    x_top: float
+    height_top: float
+
+    def x(self, x) -> Array:
+        return self.x_top + self.length * np.asarray(x)
+
+    def height(self, u) -> Array:
+        return self.height_top + self.length * self.critical_slope * np.asarray(u)
+
+    @property
+    def volume(self) -> float:
+        """One unit of poured mass, as a volume per unit width of the slope."""
+        return self.length**2 * self.critical_slope
+
+
+class Profile:
+    """An initial profile. Subclasses give `W`, the left end of the support and the `[profile]` table.
+
+    Attributes:
+        inflow: flux F that enters at the left end of a grid; 0 where q = 0 there.
+        units: of a survey, else None.
+        account: a sentence on what was done to the data, or "".
+    """
+
+    table: Mapping[str, Any]
+    inflow: float = 0.0
+    units: Units | None = None
+    account: str = ""
+
+    def W(self, x: Array, law: ErosionLaw) -> Array:
+        """u - x at x (any shape)."""
+        raise NotImplementedError
+
+    def start(self) -> float:
+        """The leftmost point at which q may differ from 0 by more than TAIL."""
+        raise NotImplementedError
+
+    def q_means(self, grid: Grid, law: ErosionLaw) -> Array:
+        """Exact cell means of q, shape (cells,)."""
+        return np.diff(self.W(grid.nodes, law)) / grid.dx
+
+    def check(self, grid: Grid, law: ErosionLaw) -> None:
+        """Raises InputError if the profile does not fit the grid or its slope is not positive."""
+        start = self.start()
+        if self.inflow == 0.0 and start < grid.left:
+            raise InputError(
+                f"the profile reaches left to x = {start:.6g} but the domain begins at left = {grid.left:g}; "
+                f"left must be at most {start:.6g}"
+            )
+        self._check_rising(self.q_means(grid, law), grid)
+
+    @staticmethod
+    def _check_rising(q: Array, grid: Grid) -> None:
+        if not np.all(q > -1.0):
+            i = int(np.argmin(np.where(np.isfinite(q), q, -np.inf)))
+            raise InputError(
+                f"the profile does not rise near x = {grid.centres[i]:.6g}, where q = {q[i]:.6g}; "
+                "q must be above -1 everywhere (u_x = 1 + q > 0)"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Kinks(Profile):
+    """q jumps up to amplitudes[j] at positions[j] and decays by R'(q) q_x = -q (theory, §5); 0 on the left."""
+
+    positions: Array
+    amplitudes: Array
+
+    def __post_init__(self) -> None:
+        x, a = _numbers("positions", self.positions), _numbers("amplitudes", self.amplitudes)
+        _same_length(positions=x, amplitudes=a)
+        if np.any(np.diff(x) <= 0):
+            raise InputError(f"positions = {x.tolist()} must increase from left to right")
+        if x[-1] > 0:
+            raise InputError(f"positions[{x.size - 1}] = {x[-1]:g} lies past the top; the domain ends at x = 0")
+        object.__setattr__(self, "positions", x)
+        object.__setattr__(self, "amplitudes", a)
+
+    @property
+    def table(self) -> Mapping[str, Any]:
+        return {"kind": "kinks", "positions": self.positions.tolist(), "amplitudes": self.amplitudes.tolist()}
+
+    def start(self) -> float:
+        return float(self.positions[0])
+
+    def check(self, grid: Grid, law: ErosionLaw) -> None:
+        self._pieces(law)
+        super().check(grid, law)
+
+    def _pieces(self, law: ErosionLaw) -> list[float]:
+        """W at each position."""
+        W, met, at = 0.0, 0.0, []
+        for j, (x, a) in enumerate(zip(self.positions, self.amplitudes, strict=True)):
+            if j:
+                before = self.amplitudes[j - 1]
+                met = float(law.decay(before, x - self.positions[j - 1]))
+                W += float(law.R(before) - law.R(met))
+            if not a > met:
+                raise InputError(
+                    f"amplitudes[{j}] = {a:g} must exceed the q = {met:.6g} that the kink at x = {x:g} meets: "
+                    "a kink is an upward jump of q"
+                )
+            at.append(W)
+        return at
+
+    def W(self, x: Array, law: ErosionLaw) -> Array:
+        W = np.zeros_like(x)
+        ends = np.append(self.positions[1:], np.inf)
+        for x0, x1, a, W0 in zip(self.positions, ends, self.amplitudes, self._pieces(law), strict=True):
+            here = (x > x0) & (x <= x1)
+            if here.any():
+                W[here] = W0 + law.R(a) - law.R(law.decay(a, x[here] - x0))
+        return W
+
+
+@dataclass(frozen=True, eq=False)
+class Bumps(Profile):
+    """q = Σ a exp(-((x - c)/w)²)."""
+
+    amplitudes: Array
+    centres: Array
+    widths: Array
+
+    def __post_init__(self) -> None:
+        a, c, w = (_numbers(n, getattr(self, n)) for n in ("amplitudes", "centres", "widths"))
+        _same_length(amplitudes=a, centres=c, widths=w)
+        if np.any(w <= 0):
+            raise InputError(f"widths[{np.argmax(w <= 0)}] = {w[np.argmax(w <= 0)]:g} must be positive")
+        for name, value in (("amplitudes", a), ("centres", c), ("widths", w)):
+            object.__setattr__(self, name, value)
+        # q by the formula, sampled finely around every bump: a cell mean can hide a narrow dip
+        x = np.minimum((c[:, None] + w[:, None] * np.linspace(-5, 5, 2001)).ravel(), 0.0)
+        q = self._q(x)
+        if np.any(q <= -1):
+            raise InputError(
+                f"q = {q.min():.6g} at x = {x[np.argmin(q)]:.6g}; q must be above -1 everywhere (u_x = 1 + q > 0)"
+            )
+
+    @property
+    def table(self) -> Mapping[str, Any]:
+        return {"kind": "bumps"} | {n: getattr(self, n).tolist() for n in ("amplitudes", "centres", "widths")}
+
+    def _q(self, x: Array) -> Array:
+        z = (x[:, None] - self.centres) / self.widths
+        return np.exp(-(z**2)) @ self.amplitudes
+
+    def start(self) -> float:
+        reach = np.sqrt(np.log(np.maximum(np.abs(self.amplitudes) / TAIL, 1.0)))
+        return float(np.min(self.centres - self.widths * reach))
+
+    def W(self, x: Array, law: ErosionLaw) -> Array:
+        from scipy.special import erfc
+
+        z = (x[..., None] - self.centres) / self.widths
+        return erfc(-z) @ (0.5 * np.sqrt(np.pi) * self.amplitudes * self.widths)
+
+
+@dataclass(frozen=True, eq=False)
+class Points(Profile):
+    """q is linear between points (x, q), jumps where an x is repeated, and is 0 outside."""
+
+    x: Array
+    q: Array
+    source: Mapping[str, Any] = field(default_factory=dict)
+    units: Units | None = None
+    height: float = 0.0  # u - x on the left
+    account: str = ""
+
+    def __post_init__(self) -> None:
+        x, q = _numbers("x", self.x, 2), _numbers("q", self.q, 2)
+        _same_length(x=x, q=q)
+        if np.any(np.diff(x) < 0):
+            raise InputError(f"x[{np.argmax(np.diff(x) < 0) + 1}] must not be left of the point before it")
+        if np.any((np.diff(x)[1:] == 0) & (np.diff(x)[:-1] == 0)):
+            raise InputError("x holds a position three times; a jump takes two")
+        if x[-1] > 0:
+            raise InputError(f"x[{x.size - 1}] = {x[-1]:g} lies past the top; the domain ends at x = 0")
+        _above_minus_one("q", q)
+        object.__setattr__(self, "x", x)
+        object.__setattr__(self, "q", q)
+
+    @property
+    def table(self) -> Mapping[str, Any]:
+        return self.source or {"kind": "points", "x": self.x.tolist(), "q": self.q.tolist()}
+
+    def start(self) -> float:
+        return float(self.x[0])
+
+    def W(self, x: Array, law: ErosionLaw) -> Array:
+        h = np.diff(self.x)
+        mass = np.concatenate([[0.0], np.cumsum(0.5 * h * (self.q[1:] + self.q[:-1]))])
+        inside = np.clip(x, self.x[0], self.x[-1])
+        j = np.clip(np.searchsorted(self.x, inside, side="right") - 1, 0, h.size - 1)
+        # a piece of no length (a jump at the last point) is never read beyond its start
+        slope = np.divide(np.diff(self.q), h, out=np.zeros_like(h), where=h > 0)
+        s = np.minimum(inside - self.x[j], h[j])
+        return self.height + mass[j] + s * (self.q[j] + 0.5 * slope[j] * s)
+
+
+@dataclass(frozen=True, eq=False)
+class Steady(Profile):
+    """The steady slope q = f⁻¹(a/(1 - a x)), whose flux is a everywhere, right of a kink at s0 (theory, §6e-f).
+
+    With no kink it fills the whole grid, and the flux a enters at the left end.
+    """
+
+    flux: float
+    kink: float | None = None
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.flux) and self.flux > 0):
+            raise InputError(f"flux = {self.flux} must be a positive number")
+        if self.kink is not None and not (np.isfinite(self.kink) and self.kink < 0):
+            raise InputError(f"kink = {self.kink} must be a negative number: the top of the slope is at x = 0")
+
+    @property
+    def table(self) -> Mapping[str, Any]:
+        kink = {} if self.kink is None else {"kink": float(self.kink)}
+        return {"kind": "steady", "flux": float(self.flux)} | kink
+
+    @property
+    def inflow(self) -> float:  # type: ignore[override]
+        return self.flux if self.kink is None else 0.0
+
+    def start(self) -> float:
+        return -np.inf if self.kink is None else float(self.kink)
+
+    def q(self, x: Array, law: ErosionLaw) -> Array:
+        """The steady slope itself, whether or not a kink cuts it off."""
+        return law.inverse(self.flux / (1.0 - self.flux * x))
+
+    def check(self, grid: Grid, law: ErosionLaw) -> None:
+        try:
+            law.inverse(np.array(self.flux))
+        except ValueError:
+            raise InputError(
+                f"flux = {self.flux:g} is more than the law {law.name!r} erodes at any slope; "
+                "it must be below the supremum of f"
+            ) from None
+        super().check(grid, law)
+
+    def W(self, x: Array, law: ErosionLaw) -> Array:
+        # W = ∫ q from the kink, by Gauss-Legendre quadrature of an analytic function between neighbouring x
+        first = float(np.min(x)) if self.kink is None else self.kink
+        ordered, back = np.unique(np.maximum(x, first), return_inverse=True)
+        edges = np.concatenate([[first], ordered])
+        z, weights = np.polynomial.legendre.leggauss(16)
+        h = np.diff(edges)
+        at = edges[:-1, None] + 0.5 * h[:, None] * (1.0 + z)
+        return np.cumsum(0.5 * h * (self.q(at, law) @ weights))[back].reshape(x.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Given(Profile):
+    """u(x) from a Python function; u_x = 1 (q = 0) left of the grid."""
+
+    u: Callable[[Any], Any]
+    source: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def table(self) -> Mapping[str, Any]:
+        return self.source or {"kind": "python", "file": "", "function": getattr(self.u, "__name__", "u")}
+
+    def start(self) -> float:
+        return np.nan  # not known; `check` looks at the first cell
+
+    def check(self, grid: Grid, law: ErosionLaw) -> None:
+        try:
+            q = self.q_means(grid, law)
+        except InputError:
+            raise
+        except Exception as error:
+            raise InputError(f"the profile cannot be evaluated: {type(error).__name__}: {error}") from error
+        if not np.all(np.isfinite(q)):
+            i = int(np.argmin(np.isfinite(q)))
+            raise InputError(f"the profile is not finite near x = {grid.centres[i]:.6g}")
+        if abs(q[0]) > TAIL:
+            raise InputError(
+                f"the profile has q = {q[0]:.3g} at the left end x = {grid.left:g}; the slope must be critical "
+                f"(u_x = 1, q = 0 to {TAIL:g}) from there on to the left"
+            )
+        self._check_rising(q, grid)
+
+    def W(self, x: Array, law: ErosionLaw) -> Array:
+        try:
+            u = np.asarray(self.u(x), dtype=float)
+        except Exception:  # a function of single numbers
+            u = None
+        if u is None or u.shape != x.shape:
+            u = np.vectorize(self.u, otypes=[float])(x)
+        return u - x
+
+
+def kinks(positions: Sequence[float], amplitudes: Sequence[float]) -> Profile:
+    """Upward jumps of q to `amplitudes` at `positions`, with the law's own decay in between (theory, §5)."""
+    return Kinks(np.asarray(positions), np.asarray(amplitudes))
+
+
+def bumps(amplitudes: Sequence[float], centres: Sequence[float], widths: Sequence[float]) -> Profile:
+    """q = Σ a exp(-((x - c)/w)²)."""
+    return Bumps(np.asarray(amplitudes), np.asarray(centres), np.asarray(widths))
+
+
+def points(x: Sequence[float], q: Sequence[float]) -> Profile:
+    """q linear between points; a repeated x is a jump; 0 outside."""
+    return Points(np.asarray(x), np.asarray(q))
+
+
+def steps(edges: Sequence[float], values: Sequence[float]) -> Profile:
+    """q = values[i] on (edges[i], edges[i+1]), 0 outside."""
+    e, v = _numbers("edges", edges, 2), _numbers("values", values)
+    if e.size != v.size + 1:
+        raise InputError(f"edges has {e.size} entries and values has {v.size}; edges must have one more than values")
+    if np.any(np.diff(e) <= 0):
+        raise InputError(f"edges = {e.tolist()} must increase from left to right")
+    if e[-1] > 0:
+        raise InputError(f"edges[{e.size - 1}] = {e[-1]:g} lies past the top; the domain ends at x = 0")
+    _above_minus_one("values", v)
+    table = {"kind": "steps", "edges": e.tolist(), "values": v.tolist()}
+    return Points(np.repeat(e, 2)[1:-1], np.repeat(v, 2), source=table)
+
+
+def steady(flux: float, kink: float | None = None) -> Profile:
+    """The steady slope of the given flux, right of a kink if one is given (theory, §6e-f)."""
+    return Steady(flux, kink)
+
+
+def from_function(u: Callable[[Any], Any]) -> Profile:
+    """A profile from a Python function u(x), x <= 0."""
+    return Given(u)
+
+
+def survey(
+    file: str | Path, critical_slope: float, length: float, repair: str | None = None, base: Path | None = None
+) -> Profile:
+    """A surveyed slope: a CSV file with header `x,height`, x increasing and uphill to the right.
+
+    x and height are divided by `length` (the exchange length, over which an avalanche grows e-fold), height also by
+    `critical_slope`; the last point becomes the origin. The profile is linear between points and has the critical
+    slope left of the first. Raises InputError if the survey descends somewhere, unless `repair` is "isotonic": then
+    it is replaced by the nearest profile (least squares) that rises everywhere by REPAIR_SLOPE of the critical slope.
+    """
+    for name, value in (("critical_slope", critical_slope), ("length", length)):
+        if not (np.isfinite(value) and value > 0):
+            raise InputError(f"{name} = {value} must be a positive number")
+    if repair not in (None, "isotonic"):
+        raise InputError(f"repair = {repair!r} is not known; allowed is 'isotonic'")
+    path = (base or Path()) / file
+    x, height, rows = _read_survey(path)
+    account = ""
+    least = REPAIR_SLOPE * critical_slope if repair else 0.0
+    falls = np.flatnonzero(np.diff(height) <= least * np.diff(x))
+    if falls.size and repair is None:
+        shown = ", ".join(f"{rows[i]}-{rows[i + 1]}" for i in falls[:5]) + (", ..." if falls.size > 5 else "")
+        raise InputError(
+            f"file = {str(file)!r} does not rise in rows {shown}; a survey must rise from left to right "
+            "(mirror it if it falls throughout, or set repair = 'isotonic')"
+        )
+    if falls.size:
+        from scipy.optimize import isotonic_regression
+
+        # a hair above the least slope, so that rounding cannot bring it below
+        tilt = (1 + 1e-9) * least * (x - x[-1])
+        repaired = isotonic_regression(height - tilt).x + tilt
+        moved = np.abs(repaired - height)
+        account = (
+            f"survey repaired: {np.count_nonzero(moved > 1e-9 * np.ptp(height))} of {x.size} points moved, "
+            f"by {moved.max():.3g} at most and {np.sqrt(np.mean(moved**2)):.3g} on average (r.m.s.)"
+        )
+        height = repaired
+    table = {"kind": "survey", "file": str(file), "critical_slope": float(critical_slope), "length": float(length)}
+    if repair:
+        table["repair"] = repair
+    units = Units(float(length), float(critical_slope), float(x[-1]), float(height[-1]))
+    xi = (x - x[-1]) / length
+    u = (height - height[-1]) / (length * critical_slope)
+    q = np.diff(u) / np.diff(xi) - 1.0
+    return Points(
+        np.repeat(xi, 2)[1:-1], np.repeat(q, 2), source=table, units=units, height=float(u[0] - xi[0]), account=account
+    )
+
+
+def _read_survey(path: Path) -> tuple[Array, Array, list[int]]:
+    """x, height and the row numbers (the header is row 1). Raises InputError naming the row."""
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as stream:
+            lines = [(n, row) for n, row in enumerate(csv.reader(stream), start=1) if row and row[0].strip()[:1] != "#"]
+    except FileNotFoundError:
+        raise InputError(f"file = {str(path)!r} does not exist") from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"file = {str(path)!r} cannot be read as CSV: {error}") from None
+    if not lines or [c.strip() for c in lines[0][1]] != ["x", "height"]:
+        found = ",".join(lines[0][1]) if lines else "nothing"
+        raise InputError(f"file = {str(path)!r} must begin with the header 'x,height', not {found!r}")
+    rows, values = [], []
+    for n, row in lines[1:]:
+        try:
+            x, height = (float(c) for c in row)
+        except ValueError:
+            raise InputError(f"file = {str(path)!r} row {n}: {','.join(row)!r} must be two numbers") from None
+        if not (np.isfinite(x) and np.isfinite(height)):
+            raise InputError(f"file = {str(path)!r} row {n}: {','.join(row)!r} must be finite")
+        if values and x <= values[-1][0]:
+            raise InputError(f"file = {str(path)!r} row {n}: x = {x:g} must be greater than the x = {values[-1][0]:g} before it")
+        rows.append(n)
+        values.append((x, height))
+    if len(values) < 2:
+        raise InputError(f"file = {str(path)!r} has {len(values)} points; a survey needs at least 2")
+    x, height = np.array(values).T
+    return x, height, rows

@@ -1,0 +1,96 @@
+"""The solvers by name, with what watches them."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable
+
+from hjprofile.monitors.bounds import BoundsMonitor
+from hjprofile.monitors.kinks import KinkTracker
+from hjprofile.problem import Problem
+from hjprofile.problem.case import DEFAULT_CFL, DEFAULT_METHOD, Case, resolved_case
+from hjprofile.problem.errors import InputError
+from hjprofile.problem.grid import Grid
+from hjprofile.solvers import conservation, hj
+from hjprofile.solvers.march import Scheme, march
+from hjprofile.solvers.run import Run
+
+Progress = Callable[[float], None]
+
+HJ_METHODS = tuple(hj.FLUXES)
+CONSERVATIVE_METHODS = ("conservative", *conservation.FLUXES)
+METHODS = HJ_METHODS + CONSERVATIVE_METHODS
+
+
+def solve_hj(
+    problem: Problem, grid: Grid, method: str = DEFAULT_METHOD, cfl: float = DEFAULT_CFL, progress: Progress | None = None
+) -> Run:
+    """Solves u_t + K f(u_x - 1) = 0 with a monotone first-order scheme on the nodes.
+
+    `method` is one of HJ_METHODS, `cfl` the time step as a part of the largest monotone one. Raises InputError for bad
+    input; a run that breaks down returns what was good, with the reason in `status`.
+    """
+    _known(method, HJ_METHODS)
+    problem.check(grid)
+    return _solve(hj.scheme(problem, grid, method), problem, grid, method, cfl, progress)
+
+
+def solve_conservative(
+    problem: Problem, grid: Grid, method: str = "conservative", cfl: float = DEFAULT_CFL, progress: Progress | None = None
+) -> Run:
+    """Solves q_t + (K f(q))_x = 0 on the cells; `method` is one of CONSERVATIVE_METHODS.
+
+    "conservative" is second order and independent of `solve_hj`; the others carry a flux of `solve_hj` over, with which
+    the two forms agree to rounding. Otherwise as `solve_hj`.
+    """
+    _known(method, CONSERVATIVE_METHODS)
+    problem.check(grid)
+    return _solve(conservation.scheme(problem, grid, method), problem, grid, method, cfl, progress)
+
+
+def solve_case(case: Case, progress: Progress | None = None) -> Run:
+    """Solves a case by its own method."""
+    try:
+        _known(case.method, METHODS)
+    except InputError as error:
+        raise InputError(f"{case.source}: [solver] {error}") from None
+    solve = solve_hj if case.method in HJ_METHODS else solve_conservative
+    return solve(case.problem, case.grid, case.method, case.cfl, progress)
+
+
+def _known(method: str, methods: tuple[str, ...]) -> None:
+    if method not in methods:
+        close = difflib.get_close_matches(method, methods, 1)
+        hint = f"; did you mean {close[0]!r}?" if close else ""
+        raise InputError(f"method = {method!r} is not known{hint} (allowed: {', '.join(methods)})")
+
+
+def _solve(scheme: Scheme, problem: Problem, grid: Grid, method: str, cfl: float, progress: Progress | None) -> Run:
+    if not cfl > 0:
+        raise InputError(f"cfl = {cfl} must be a positive number")
+    inflow = problem.profile.inflow
+    bounds = BoundsMonitor(problem.law, grid, inflow, telescoping=method.endswith("telescoping"))
+    tracker = KinkTracker(problem.law, grid)
+    record = march(scheme, problem, grid, cfl, (bounds, tracker), progress)
+    kinks, events = tracker.result(record.times)
+    return Run(
+        title=problem.title,
+        method=method,
+        case=resolved_case(problem, grid, method, cfl),
+        time=record.times,
+        x=grid.nodes,
+        x_cell=grid.centres,
+        u=grid.nodes + record.W,
+        q=record.q,
+        K=record.K,
+        status=record.status,
+        steps=record.steps,
+        step_range=record.step_range,
+        wall_seconds=record.wall_seconds,
+        kinks=kinks,
+        events=events,
+        bounds=bounds.bounds,
+        eroded_volume=bounds.eroded_volume,
+        units=problem.profile.units,
+        account=problem.profile.account,
+    )
