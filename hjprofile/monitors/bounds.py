@@ -20,42 +20,51 @@ class BoundsMonitor:
     top_factor: K(0) = 1.
     minimum_principle: q >= min(inf q(0), 0).
     l1_decay: ‖q‖₁ does not increase (where nothing flows in).
+
+    A monotone scheme keeps the last two to rounding, a limited second-order one within dx TV(q).
     """
 
-    def __init__(self, law: ErosionLaw, grid: Grid, inflow: float, telescoping: bool):
-        self.law, self.grid, self.inflow, self.telescoping = law, grid, inflow, telescoping
+    def __init__(self, law: ErosionLaw, grid: Grid, inflow: float, monotone: bool, telescoping: bool):
+        self.law, self.grid, self.inflow = law, grid, inflow
+        self.monotone, self.telescoping = monotone, telescoping
         self.bounds: dict[str, Verdict] = {}
         self.first: State | None = None
         self.eroded_volume = 0.0
+        self.budget_error = 0.0  # worst so far
         self.budget_allowance = 0.0
 
     def observe(self, state: State) -> None:
-        q, dx = state.q, self.grid.dx
+        q, dx, t = state.q, self.grid.dx, state.t
         mass, norm, least = dx * float(np.sum(q)), dx * float(np.sum(np.abs(q))), float(np.min(q))
-        f = self.law.f(q)
-        allowance_rate = dx * (dx * float(state.K[1:] @ (f * f)) + state.speed * float(np.sum(np.abs(np.diff(q)))))
+        f, variation = self.law.f(q), float(np.sum(np.abs(np.diff(q))))
+        allowance_rate = dx * (dx * float(state.K[1:] @ (f * f)) + state.speed * variation)
         if self.first is None:
             self.first = state
-            self.mass, self.norm, self.floor, self.scale = mass, norm, min(least, 0.0), norm + ROUNDING
+            self.mass, self.norm, self.floor, self.scale = mass, norm, min(least, 0.0), norm + 1.0
         else:
-            self.budget_allowance += 0.5 * (state.t - self.t) * (self.allowance_rate + allowance_rate)
-        self.t, self.allowance_rate = state.t, allowance_rate
+            self.budget_allowance += 0.5 * (t - self.t) * (self.allowance_rate + allowance_rate)
+        self.t, self.allowance_rate = t, allowance_rate
 
-        rounding = ROUNDING * (self.scale + state.outflow + self.inflow * state.t)
-        self._record("mass_budget", rounding, mass - self.mass + state.outflow - self.inflow * state.t, state.t, "rounding")
+        rounding = ROUNDING * (self.scale + state.outflow + self.inflow * t)
+        smear = 0.0 if self.monotone else dx * variation
+        scheme = "rounding" if self.monotone else "first order in dx"
+
+        self._record("mass_budget", rounding, mass - self.mass + state.outflow - self.inflow * t, t, "rounding")
         self.eroded_volume = self.first.volume - state.volume
-        allowed = ROUNDING * (1.0 + abs(state.growth) + state.t + abs(self.first.volume))
-        if not self.telescoping:
-            allowed += self.budget_allowance
-        kind = "rounding" if self.telescoping else "first order in dx"
-        self._record("volume_budget", allowed, self.eroded_volume - state.growth, state.t, kind)
-        self._record("top_factor", ROUNDING, float(state.K[-1]) - 1.0, state.t, "rounding")
-        self._record("minimum_principle", ROUNDING, min(least - self.floor, 0.0), state.t, "rounding")
+        off = abs(self.eroded_volume - state.growth)
+        self.budget_error = max(self.budget_error, off)
+        small = ROUNDING * (1.0 + abs(state.growth) + t + abs(self.first.volume))
+        if self.telescoping:
+            self._record("volume_budget", small, off, t, "rounding")
+        else:
+            self._record("volume_budget", small + self.budget_allowance, off, t, "first order in dx")
+        self._record("top_factor", ROUNDING, float(state.K[-1]) - 1.0, t, "rounding")
+        self._record("minimum_principle", ROUNDING + smear, max(self.floor - least, 0.0), t, scheme)
         if self.inflow == 0.0:
-            self._record("l1_decay", ROUNDING * self.scale, max(norm - self.norm, 0.0), state.t, "rounding")
+            self._record("l1_decay", rounding + smear, max(norm - self.norm, 0.0), t, scheme)
             self.norm = min(norm, self.norm)
 
     def _record(self, name: str, allowed: float, excess: float, t: float, allowance: str) -> None:
-        margin = allowed - abs(excess)
+        margin = 1.0 - abs(float(excess)) / allowed
         if name not in self.bounds or margin < self.bounds[name].worst_margin:
-            self.bounds[name] = Verdict(margin >= 0.0, margin, t, allowance)
+            self.bounds[name] = Verdict(margin >= 0.0, margin, float(t), allowance)

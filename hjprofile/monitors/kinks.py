@@ -120,7 +120,7 @@ def _locate(grid: Grid, q: Array, K: Array, a: int, b: int) -> Sighting | None:
     left, right = ql + sl * (s - middle), qr + sr * (s - middle)
     if not (right > left > -1.0):
         return None
-    return Sighting(float(s), left, right, float(np.interp(s, x[a : b + 2], K[a : b + 2])))
+    return Sighting(float(s), float(left), float(right), float(np.interp(s, x[a : b + 2], K[a : b + 2])))
 
 
 @dataclass

@@ -69,7 +69,9 @@ def _solve(scheme: Scheme, problem: Problem, grid: Grid, method: str, cfl: float
     if not cfl > 0:
         raise InputError(f"cfl = {cfl} must be a positive number")
     inflow = problem.profile.inflow
-    bounds = BoundsMonitor(problem.law, grid, inflow, telescoping=method.endswith("telescoping"))
+    bounds = BoundsMonitor(
+        problem.law, grid, inflow, monotone=method != "conservative", telescoping=method.endswith("telescoping")
+    )
     tracker = KinkTracker(problem.law, grid)
     record = march(scheme, problem, grid, cfl, (bounds, tracker), progress)
     kinks, events = tracker.result(record.times)
@@ -91,6 +93,7 @@ def _solve(scheme: Scheme, problem: Problem, grid: Grid, method: str, cfl: float
         events=events,
         bounds=bounds.bounds,
         eroded_volume=bounds.eroded_volume,
+        volume_budget_error=bounds.budget_error,
         units=problem.profile.units,
         account=problem.profile.account,
     )

@@ -56,7 +56,7 @@ class Event(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Whether a bound held. The margin is what was left of its allowance; negative where it was exceeded."""
+    """Whether a bound held. The margin is the part of its allowance that was left: 1 untouched, negative exceeded."""
 
     holds: bool
     worst_margin: float
@@ -82,6 +82,7 @@ class Run:
         kinks, events: the kinks at the saved times; births, merges and exits.
         bounds: name -> Verdict for each a-priori fact and budget that was watched.
         eroded_volume: ∫(u(0,x) - u(t,x)) dx at the end.
+        volume_budget_error: the most by which the eroded volume ever differed from ∫(K(left) - 1) dt.
         units: the way back to a survey's units, else None.
         account: what was done to the data, or "".
     """
@@ -103,6 +104,7 @@ class Run:
     events: Sequence[Event] = ()
     bounds: Mapping[str, Verdict] = field(default_factory=dict)
     eroded_volume: float = np.nan
+    volume_budget_error: float = np.nan
     units: Units | None = None
     account: str = ""
 
