@@ -7,7 +7,7 @@ straight lines, continuing q from either side, hold the mass that the cells betw
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -16,6 +16,8 @@ import numpy as np
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.run import Array, Event, KinkRecord, State
+
+Speed = Callable[["Sighting"], float]
 
 LEAST_JUMP = 0.05  # a weaker jump cannot be told from a steep smooth rise on grids of a thousand cells
 WIDEST = 16  # cells over which a shock may spread; Lax-Friedrichs spreads a jump of 0.4 over this many
@@ -123,15 +125,16 @@ def _locate(grid: Grid, q: Array, K: Array, a: int, b: int) -> Sighting | None:
     return Sighting(float(s), float(left), float(right), float(np.interp(s, x[a : b + 2], K[a : b + 2])))
 
 
-@dataclass
+@dataclass(eq=False)
 class _Path:
     """One kink through time."""
 
     number: int
+    born: bool = False
     times: list[float] = field(default_factory=list)
     sightings: list[Sighting] = field(default_factory=list)
-    born: bool = False
-    end: tuple[str, float, int | None, float] | None = None  # event, time, into, x
+    end: Event | None = None
+    into: _Path | None = None
 
     def add(self, t: float, sighting: Sighting) -> None:
         self.times.append(t)
@@ -140,6 +143,11 @@ class _Path:
     def recent(self) -> tuple[Array, Array]:
         """Times and places of the last MEMORY sightings."""
         return np.array(self.times[-MEMORY:]), np.array([s.x for s in self.sightings[-MEMORY:]])
+
+    def velocity(self, speed: Speed) -> float:
+        """Measured over the last sightings where there are enough, else by Rankine-Hugoniot."""
+        t, x = self.recent()
+        return _slope(t, x) if t.size > 3 else speed(self.sightings[-1])
 
 
 class KinkTracker:
@@ -166,55 +174,59 @@ class KinkTracker:
                         _measured_speed(path, i, self.grid.dx), self._speed(s),
                     )
                 )  # fmt: skip
-        return records, events_of(paths)
+        return records, events_of(paths, self.frames[-1][0])
 
     def _speed(self, s: Sighting) -> float:
         """Rankine-Hugoniot: K [f]/[q]."""
         return s.K * float(self.law.f(s.q_right) - self.law.f(s.q_left)) / s.jump
 
 
-def link(frames: Sequence[tuple[float, list[Sighting]]], dx: float, speed) -> list[_Path]:
+def link(frames: Sequence[tuple[float, list[Sighting]]], dx: float, speed: Speed) -> list[_Path]:
     """Links sightings at successive times into paths; `speed` maps a sighting to its Rankine-Hugoniot speed.
 
-    Kinks in the first frame are numbered from the left, later ones in the order of their births. Of two that merge the
-    one with the lower number lives on.
+    Kinks in the first frame are numbered from the left, later ones in the order of their births. A kink may be out of
+    sight for a while: where two shocks touch, their common rise can be too wide to be seen as one.
     """
     paths: list[_Path] = []
-    living: list[_Path] = []
-    last = None
-    for t, sightings in frames:
-        dt = 0.0 if last is None else t - last
+    living: list[_Path] = []  # with those that are out of sight
+    for n, (t, sightings) in enumerate(frames):
         claims: dict[int, list[_Path]] = {}
         for path in living:
-            s = path.sightings[-1]
-            ahead = s.x + speed(s) * dt
-            reach = 4 * dx + abs(speed(s)) * dt
+            ahead, reach = _expected(path, t, dx, speed)
             near = [i for i, new in enumerate(sightings) if abs(new.x - ahead) <= reach]
             if near:
                 claims.setdefault(min(near, key=lambda i: abs(sightings[i].x - ahead)), []).append(path)
-        _untangle(claims, sightings, living)
-        survivors: list[_Path] = []
-        for path in living:
-            if not any(path in claimants for claimants in claims.values()):
-                _leave(path, t, dx, speed)
+        _untangle(claims, sightings)
         for i, new in enumerate(sightings):
             claimants = claims.get(i, [])
+            path = min(claimants, key=lambda p: p.number) if claimants else _Path(len(paths) + 1, born=n > 0)
             if not claimants:
-                path = _Path(len(paths) + 1, born=last is not None)
                 paths.append(path)
-            else:
-                path = min(claimants, key=lambda p: p.number)
-                for other in claimants:
-                    if other is not path:
-                        time, x = _meeting(path, other, speed)
-                        other.end = ("merge", time, path.number, x)
+                living.append(path)
+            for other in claimants:
+                if other is not path:
+                    _merge(other, path, speed)
+                    living.remove(other)
             path.add(t, new)
-            survivors.append(path)
-        living, last = survivors, t
-    return _without_flicker(paths, frames[-1][0] if frames else 0.0)
+        for path in [p for p in living if p.times[-1] < t]:
+            if _leaves(path, t, dx, speed) or _is_lost(path, t, dx, speed):
+                living.remove(path)
+    _merge_lost(paths, frames[-1][0] if frames else 0.0, dx, speed)
+    return _without_flicker(paths)
 
 
-def _untangle(claims: dict[int, list[_Path]], sightings: list[Sighting], living: list[_Path]) -> None:
+def _expected(path: _Path, t: float, dx: float, speed: Speed) -> tuple[float, float]:
+    """Where the kink should be at t, and how far from there it may be found."""
+    travel = path.velocity(speed) * (t - path.times[-1])
+    return path.sightings[-1].x + travel, 4 * dx + abs(travel)
+
+
+def _is_lost(path: _Path, t: float, dx: float, speed: Speed) -> bool:
+    """Out of sight for longer than two shocks need to become one."""
+    return abs(path.velocity(speed)) * (t - path.times[-1]) > 4 * WIDEST * dx
+
+
+def _untangle(claims: dict[int, list[_Path]], sightings: list[Sighting]) -> None:
     """Where two paths claim one sighting and its neighbour is unclaimed, kinks keep their order instead of merging."""
     for i in list(claims):
         claimants = sorted(claims[i], key=lambda p: p.sightings[-1].x)
@@ -222,57 +234,87 @@ def _untangle(claims: dict[int, list[_Path]], sightings: list[Sighting], living:
             continue
         for j, mover in ((i - 1, claimants[0]), (i + 1, claimants[-1])):
             if 0 <= j < len(sightings) and j not in claims:
-                if abs(sightings[j].x - mover.sightings[-1].x) < 2 * abs(sightings[i].x - mover.sightings[-1].x) + 1e-12:
+                here, there = (abs(sightings[k].x - mover.sightings[-1].x) for k in (i, j))
+                if there <= 2 * here:
                     claims[i].remove(mover)
                     claims[j] = [mover]
                     break
 
 
-def _leave(path: _Path, t: float, dx: float, speed) -> None:
-    """Ends a path that was lost from sight: an exit if it was about to reach x = 0."""
+def _leaves(path: _Path, t: float, dx: float, speed: Speed) -> bool:
+    """Ends a path that went out of sight when it was about to reach x = 0."""
     times, x = path.recent()
-    velocity = _slope(times, x) if len(times) > 2 else speed(path.sightings[-1])
-    if velocity <= 0:
-        velocity = speed(path.sightings[-1])
-    arrival = times[-1] - x[-1] / velocity
-    if x[-1] > -3 * WIDEST * dx and arrival <= t + 2 * WIDEST * dx / velocity:
-        path.end = ("exit", float(arrival), None, 0.0)
+    velocity = path.velocity(speed)
+    if velocity <= 0 or x[-1] < -3 * WIDEST * dx:
+        return False
+    arrival = float(times[-1] - x[-1] / velocity)
+    if arrival > t + 2 * WIDEST * dx / velocity:
+        return False
+    path.end = Event(arrival, "exit", path.number, None, 0.0)
+    return True
+
+
+def _merge(loser: _Path, winner: _Path, speed: Speed) -> None:
+    """Ends `loser` where it meets `winner`; shocks that touch are seen as one too early, so the place is extrapolated."""
+    common = sorted(set(loser.times) & set(winner.times))[-MEMORY:]
+    if common:
+        xs = [np.array([p.sightings[p.times.index(t)].x for t in common]) for p in (loser, winner)]
+        t, gap = np.array(common), xs[1] - xs[0]
+        if t.size > 3:
+            closing, velocity, now, apart, here = -_slope(t, gap), _slope(t, xs[1]), t.mean(), gap.mean(), xs[1].mean()
+        else:
+            speeds = [speed(p.sightings[p.times.index(t[-1])]) for p in (loser, winner)]
+            closing, velocity, now, apart, here = speeds[0] - speeds[1], speeds[1], t[-1], gap[-1], xs[1][-1]
+        wait = apart / closing if closing * apart > 0 else t[-1] - now
+    else:  # never seen side by side
+        now, here, velocity, wait = loser.times[-1], loser.sightings[-1].x, 0.0, 0.0
+    loser.into = winner
+    loser.end = Event(float(now + wait), "merge", loser.number, winner.number, float(here + velocity * wait))
+
+
+def _merge_lost(paths: list[_Path], end: float, dx: float, speed: Speed) -> None:
+    """A path that was lost from sight beside another that lived on, and was closing in on it, has merged with it."""
+    for lost in sorted((p for p in paths if p.end is None and p.times[-1] < end), key=lambda p: p.times[-1]):
+        t, x = lost.times[-1], lost.sightings[-1].x
+        beside = [p for p in paths if p is not lost and p.times[0] <= t < p.times[-1] and t in p.times]
+        beside.sort(key=lambda p: abs(p.sightings[p.times.index(t)].x - x))
+        if not beside:
+            continue
+        other = beside[0]
+        gap = other.sightings[other.times.index(t)].x - x
+        closing = (lost.velocity(speed) - speed(other.sightings[other.times.index(t)])) * np.sign(gap)
+        if abs(gap) > 3 * WIDEST * dx or closing <= 0:
+            continue
+        if lost.number < other.number:  # the lower number lives on: it takes over the rest of the other's path
+            k = other.times.index(t) + 1
+            lost.times += other.times[k:]
+            lost.sightings += other.sightings[k:]
+            other.times, other.sightings = other.times[:k], other.sightings[:k]
+            lost.end, lost.into, other.end = other.end, other.into, None
+            if lost.end:
+                lost.end = lost.end._replace(kink=lost.number)
+            for p in paths:
+                if p.into is other and p.end and p.end.time > t:
+                    p.into = lost
+            lost, other = other, lost
+        _merge(lost, other, speed)
+
+
+def _without_flicker(paths: list[_Path]) -> list[_Path]:
+    """Drops paths too short to be kinks, and numbers the others anew in the order of their births."""
+    hosts = {id(p.into) for p in paths if p.into}
+    lasting = [p for p in paths if len(p.times) >= LEAST_LIFE or not p.born or id(p) in hosts]
+    for number, p in enumerate(lasting, start=1):
+        p.number = number
+    for p in lasting:
+        if p.end:
+            p.end = p.end._replace(kink=p.number, into=p.into.number if p.into else None)
+    return lasting
 
 
 def _slope(t: Array, x: Array) -> float:
     centred = t - t.mean()
     return float(centred @ x / (centred @ centred))
-
-
-def _meeting(a: _Path, b: _Path, speed) -> tuple[float, float]:
-    """When and where two paths meet, from their last common sightings: shocks that touch are seen as one too early."""
-    common = [t for t in a.times if t in set(b.times)][-MEMORY:]
-    xa = np.array([a.sightings[a.times.index(t)].x for t in common])
-    xb = np.array([b.sightings[b.times.index(t)].x for t in common])
-    t, gap = np.array(common), xb - xa
-    if len(common) > 3:
-        closing = -_slope(t, gap)
-        velocity = _slope(t, xa)
-        gap_now, here, now = gap.mean(), xa.mean(), t.mean()
-    else:
-        closing = (speed(a.sightings[-1]) - speed(b.sightings[-1])) * np.sign(gap[-1])
-        velocity, gap_now, here, now = speed(a.sightings[-1]), gap[-1], xa[-1], t[-1]
-    wait = abs(gap_now) / abs(closing) if closing * np.sign(gap_now) > 0 else t[-1] - now
-    return float(now + wait), float(here + velocity * wait)
-
-
-def _without_flicker(paths: list[_Path], end: float) -> list[_Path]:
-    """Drops paths too short to be kinks, and numbers the others anew in the order of their births."""
-    merged_into = {p.end[2] for p in paths if p.end and p.end[0] == "merge"}
-    lasting = [
-        p for p in paths if len(p.times) >= LEAST_LIFE or not p.born or p.times[-1] == end or p.number in merged_into
-    ]
-    renumbered = {p.number: i for i, p in enumerate(lasting, start=1)}
-    for p in lasting:
-        p.number = renumbered[p.number]
-        if p.end and p.end[0] == "merge":
-            p.end = (p.end[0], p.end[1], renumbered[p.end[2]], p.end[3])  # type: ignore[index]
-    return [p for p in lasting if not (p.end and p.end[1] > end) or p.times]
 
 
 def _measured_speed(path: _Path, i: int, dx: float) -> float:
@@ -286,13 +328,8 @@ def _measured_speed(path: _Path, i: int, dx: float) -> float:
     return _slope(t, np.array([s.x for s in path.sightings[first : last + 1]]))
 
 
-def events_of(paths: Sequence[_Path]) -> list[Event]:
-    """Births, merges and exits in the order of time."""
-    events = []
-    for p in paths:
-        if p.born:
-            events.append(Event(p.times[0], "birth", p.number, None, p.sightings[0].x))
-        if p.end:
-            kind, t, into, x = p.end
-            events.append(Event(t, kind, p.number, into, x))
-    return sorted(events)
+def events_of(paths: Sequence[_Path], end: float) -> list[Event]:
+    """Births, merges and exits up to the time `end`, in their order."""
+    births = [Event(p.times[0], "birth", p.number, None, p.sightings[0].x) for p in paths if p.born]
+    ends = [p.end for p in paths if p.end and p.end.time <= end]
+    return sorted(births + ends, key=lambda e: (e.time, e.kink))

@@ -1,0 +1,1 @@
+"""What people keep: result folders, VTK files, pictures."""

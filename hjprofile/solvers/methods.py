@@ -48,12 +48,17 @@ def solve_conservative(
     return _solve(conservation.scheme(problem, grid, method), problem, grid, method, cfl, progress)
 
 
-def solve_case(case: Case, progress: Progress | None = None) -> Run:
-    """Solves a case by its own method."""
+def check_method(case: Case) -> None:
+    """Raises InputError if the case asks for a method that does not exist."""
     try:
         _known(case.method, METHODS)
     except InputError as error:
         raise InputError(f"{case.source}: [solver] {error}") from None
+
+
+def solve_case(case: Case, progress: Progress | None = None) -> Run:
+    """Solves a case by its own method."""
+    check_method(case)
     solve = solve_hj if case.method in HJ_METHODS else solve_conservative
     return solve(case.problem, case.grid, case.method, case.cfl, progress)
 

@@ -1,0 +1,6 @@
+"""`python -m hjprofile`."""
+
+from hjprofile.cli import main
+
+if __name__ == "__main__":
+    main()

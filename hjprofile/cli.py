@@ -1,0 +1,230 @@
+"""The command line: one function a command; each parses, calls the library and says what came of it."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+from cyclopts import App, CycloptsError, Parameter
+
+import hjprofile
+from hjprofile.problem.errors import InputError, RunError
+
+if TYPE_CHECKING:
+    from hjprofile.evidence.consistency import Check
+    from hjprofile.solvers.run import Run
+
+app = App(
+    name="hjprofile",
+    version=hjprofile.__version__,
+    help="Slow erosion of granular slopes: a nonlocal Hamilton-Jacobi equation and its cross-checks.",
+)
+
+Cells = Annotated[int | None, Parameter(help="Number of grid cells, instead of the case's.")]
+Method = Annotated[str | None, Parameter(help="Solver method, instead of the case's; a wrong name lists them all.")]
+Cfl = Annotated[float | None, Parameter(help="Time step as a part of the largest monotone one.")]
+End = Annotated[float | None, Parameter(help="Mass of grains poured in at which the run ends.")]
+Out = Annotated[Path | None, Parameter(help="Folder for the results; results/<case name> by default.")]
+
+
+@app.command
+def run(
+    case: str, *, method: Method = None, cells: Cells = None, cfl: Cfl = None, end: End = None, out: Out = None
+) -> None:
+    """Solve a case and write its result folder.
+
+    CASE is a TOML file, or the name of a case that comes with the package (`hjprofile cases` lists them).
+    """
+    from hjprofile.output.store import open_folder, write_run
+    from hjprofile.problem.case import load_case
+    from hjprofile.solvers.methods import check_method, solve_case
+
+    asked = {"solver.method": method, "domain.cells": cells, "solver.cfl": cfl, "time.end": end}
+    loaded = load_case(case, {key: value for key, value in asked.items() if value is not None})
+    check_method(loaded)
+    folder = out or Path("results") / loaded.name
+    open_folder(folder)
+    with _Progress("eroding") as progress:
+        result = solve_case(loaded, progress)
+    files = write_run(result, folder, loaded.vtk, loaded.plots)
+    print(_account(result))
+    print(f"  written     {folder}: {_listing(folder, files)}")
+    if not result.done:
+        raise RunError(f"{loaded.source}: {result.status}; the last good state is in {folder}")
+
+
+@app.command
+def check(*case: str, out: Out = None) -> None:
+    """Test the Hamilton-Jacobi equation against the conservation law on one case or several.
+
+    Writes check.json; ends with exit code 1 if a comparison fails.
+    """
+    from hjprofile.evidence.consistency import check_consistency
+    from hjprofile.output.store import open_folder, to_json, write_whole
+    from hjprofile.problem.case import load_case
+
+    if not case:
+        raise InputError("check needs at least one CASE: a TOML file or the name of a shipped case")
+    loaded = [load_case(c) for c in case]
+    folder = out or (Path("results") / loaded[0].name if len(loaded) == 1 else Path("results"))
+    open_folder(folder)
+    verdicts = []
+    for one in loaded:
+        with _Progress(f"checking {one.name}") as progress:
+            checks = check_consistency(one.problem, one.grid, one.cfl, progress)
+        passes = all(c.passes for c in checks)
+        verdicts.append({"case": one.name, "title": one.problem.title, "passes": passes} | {
+            "comparisons": [c._asdict() for c in checks]
+        })  # fmt: skip
+        print(f"{one.name}: {'passes' if passes else 'FAILS'}")
+        print("\n".join(f"  {_check_line(c)}" for c in checks if not c.name.startswith("bounds:") or not c.passes))
+    failed = [v["case"] for v in verdicts if not v["passes"]]
+    write_whole(folder / "check.json", to_json({"passes": not failed, "cases": verdicts}))
+    print(f"written to {folder / 'check.json'}")
+    if failed:
+        raise RunError(f"the consistency test fails on {', '.join(failed)}; lines marked FAILS above say where")
+
+
+@app.command
+def plot(result: Path, *, out: Out = None) -> None:
+    """Draw the pictures of a result folder again, into it or into another folder."""
+    from hjprofile.output.plots import pictures
+    from hjprofile.output.store import load_run, write_whole
+
+    folder = out or result
+    for name, data in pictures(load_run(result)).items():
+        write_whole(folder / name, data)
+        print(folder / name)
+
+
+@app.command
+def export(result: Path, *, vtk: bool = False, out: Out = None) -> None:
+    """Write the VTK files of a result folder, into its folder `vtk` or into another.
+
+    Parameters
+    ----------
+    vtk
+        Files for ParaView; the only format so far.
+    """
+    from hjprofile.output.store import VTK_FOLDER, load_run, write_whole
+
+    if not vtk:
+        raise InputError("export needs a format: --vtk")
+    from hjprofile.output.vtk import vtk_files
+
+    folder = out or result / VTK_FOLDER
+    files = vtk_files(load_run(result))
+    for name, data in files.items():
+        write_whole(folder / name, data)
+    print(f"{folder}: {_listing(folder, [folder / name for name in files])}")
+
+
+@app.command
+def cases() -> None:
+    """List the cases that come with the package."""
+    import tomllib
+
+    from hjprofile.problem.case import shipped_cases
+
+    shipped = shipped_cases()
+    width = max(map(len, shipped), default=0)
+    for name, path in shipped.items():
+        print(f"{name:{width}}  {tomllib.loads(path.read_text(encoding='utf-8')).get('title', '')}")
+
+
+def _account(run: Run) -> str:
+    """A few lines on what was solved and how it went."""
+    eroded = run.eroded_volume
+    volume = f"volume {abs(eroded):.6g} {'eroded' if eroded >= 0 else 'deposited'} on balance"
+    poured = ""
+    if run.units:
+        volume += f" ({abs(eroded) * run.units.volume:.4g} in the survey's units, per unit width)"
+        poured = f" = {run.time[-1] * run.units.volume:.4g} in the survey's units"
+    count = {kind: sum(e.event == kind for e in run.events) for kind in ("birth", "merge", "exit")}
+    plural = {"birth": "births", "merge": "merges", "exit": "exits"}
+    events = ", ".join(f"{n} {plural[kind] if n != 1 else kind}" for kind, n in count.items())
+    bounds = [name for name, b in run.bounds.items() if not b.holds]
+    budget = run.bounds["volume_budget"]
+    lines = [
+        run.title,
+        f"  solved      {run.method}, {run.cells} cells, {run.steps} steps in {run.wall_seconds:.2g} s "
+        f"to t = {run.time[-1]:g}{poured}",
+        f"  eroded      {volume}",
+        f"  kinks       {len(run.kinks_at(0))} at first, {len(run.kinks_at(-1))} at last; {events}",
+        f"  budgets     mass to rounding; volume to {run.volume_budget_error:.2g} ({budget.allowance})",
+        f"  bounds      {'all hold' if not bounds else 'NOT HELD: ' + ', '.join(bounds)}",
+    ]
+    if run.account:
+        lines.insert(1, f"  data        {run.account}")
+    return "\n".join(lines)
+
+
+def _check_line(c: Check) -> str:
+    order = f"order {c.order:.2f}, " if c.order is not None else ""
+    cells = f" on {c.cells[-1]} cells"
+    return f"{'passes' if c.passes else 'FAILS '}  {c.name:36} {order}{c.error[-1]:.2g}{cells}  ({c.rule})"
+
+
+def _listing(folder: Path, files: list[Path]) -> str:
+    """File names, with folders as a count."""
+    names = [f.relative_to(folder).as_posix() for f in files]
+    flat = [n for n in names if "/" not in n]
+    if len(flat) > 12:
+        flat = [f"{len(flat)} files"]
+    inside: dict[str, int] = {}
+    for n in names:
+        if "/" in n:
+            inside[n.split("/")[0]] = inside.get(n.split("/")[0], 0) + 1
+    return ", ".join(flat + [f"{name}/ ({count} files)" for name, count in inside.items()])
+
+
+class _Progress:
+    """A bar with the time that is left, on stderr, for what takes longer than a second on a terminal."""
+
+    def __init__(self, label: str):
+        self.label, self.started, self.bar = label, time.monotonic(), None
+
+    def __enter__(self) -> _Progress:
+        return self
+
+    def __call__(self, fraction: float) -> None:
+        if self.bar is None:
+            if not sys.stderr.isatty() or time.monotonic() - self.started < 1.0:
+                return
+            from rich.console import Console
+            from rich.progress import Progress
+
+            self.bar = Progress(console=Console(stderr=True), transient=True)
+            self.task = self.bar.add_task(self.label, total=1.0)
+            self.bar.start()
+        self.bar.update(self.task, completed=fraction)
+
+    def __exit__(self, *_: Any) -> None:
+        if self.bar is not None:
+            self.bar.stop()
+
+
+def main(arguments: list[str] | None = None) -> NoReturn:
+    """Runs a command; 0 done, 1 the run or a check failed, 2 wrong usage or bad input. Never a traceback for these."""
+    try:
+        app(arguments, exit_on_error=False, print_error=False)
+    except (InputError, CycloptsError) as error:
+        _leave(f"hjprofile: {error}", 2)
+    except RunError as error:
+        _leave(f"hjprofile: {error}", 1)
+    except MemoryError:
+        _leave("hjprofile: the machine's memory is not enough; use fewer cells or snapshots", 1)
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        _leave(f"hjprofile: {where}{error.strerror or error}; nothing was left half-written", 1)
+    except KeyboardInterrupt:
+        _leave("hjprofile: interrupted; nothing was written", 1)
+    sys.exit(0)
+
+
+def _leave(sentence: str, code: int) -> NoReturn:
+    sys.stdout.flush()
+    print(" ".join(sentence.split()), file=sys.stderr)
+    sys.exit(code)

@@ -1,0 +1,125 @@
+"""Pictures of a run; the only module that knows matplotlib. Drawn off screen, without pyplot's global state."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize, TwoSlopeNorm
+from matplotlib.figure import Figure
+
+from hjprofile.solvers.run import Array, Run
+
+LINES = 9  # profiles that are drawn; more hide each other
+ERODED, DEPOSITED = "#c8553d", "#3d7ea6"
+
+
+def pictures(run: Run) -> dict[str, bytes | str]:
+    """Name -> PNG."""
+    return {"profile.png": _png(draw_profiles(run)), "diagram.png": _png(draw_diagram(run))}
+
+
+def _png(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=150)
+    return buffer.getvalue()
+
+
+def _figure(width: float, height: float) -> Figure:
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _axes_units(run: Run) -> tuple[Array, Array, str, str]:
+    """x, u in the survey's units if there is one, with labels of the axes."""
+    if run.units:
+        return run.units.x(run.x), run.units.height(run.u), "x (units of the survey)", "height (units of the survey)"
+    return run.x, run.u, "x (in exchange lengths; the top is at 0)", "height u"
+
+
+def _subtitle(run: Run) -> str:
+    return f"{run.method}, {run.cells} cells" + ("" if run.done else f"\n{run.status}")
+
+
+def draw_profiles(run: Run) -> Figure:
+    """The profile through time with its kinks; below it how far it has moved; below that the excess slope."""
+    x, u, x_label, u_label = _axes_units(run)
+    figure = _figure(8.0, 8.4)
+    top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
+    shown = np.unique(np.linspace(0, run.time.size - 1, LINES).round().astype(int))
+    norm = Normalize(run.time[0], max(run.time[-1], run.time[0] + 1e-12))
+    colours = colormaps["viridis"].resampled(256)
+    centres = 0.5 * (x[1:] + x[:-1])
+    for i in shown:
+        colour = colours(0.92 * norm(run.time[i]))
+        top.plot(x, u[i], color=colour, lw=1.1)
+        middle.plot(x, u[i] - u[0], color=colour, lw=1.1)
+        bottom.plot(centres, run.q[i], color=colour, lw=1.0)
+        kinks = np.array([k.x for k in run.kinks_at(i)])
+        if kinks.size:
+            at = run.units.x(kinks) if run.units else kinks
+            top.plot(at, np.interp(at, x, u[i]), "o", ms=4, mfc="white", mec=colour, zorder=3)
+            middle.plot(at, np.interp(at, x, u[i] - u[0]), "o", ms=4, mfc="white", mec=colour, zorder=3)
+    change = u[-1] - u[0]
+    middle.fill_between(x, change, 0, where=change < 0, color=ERODED, alpha=0.3, lw=0, label="eroded")
+    middle.fill_between(x, change, 0, where=change > 0, color=DEPOSITED, alpha=0.3, lw=0, label="deposited")
+    if np.any(np.abs(change) > 1e-9 * np.ptp(u)):
+        middle.legend(loc="best", fontsize=8, frameon=False)
+    top.plot([], [], "o", ms=4, mfc="white", mec="k", label="kink")
+    if run.kinks:
+        top.legend(loc="upper left", fontsize=8, frameon=False)
+    top.set_title(run.title, loc="left", fontweight="bold")
+    top.set_title(_subtitle(run), loc="right", fontsize=8, color="0.35")
+    top.set_ylabel(u_label)
+    middle.set_ylabel("change of height")
+    bottom.set_ylabel("excess slope q = $u_x$ - 1")
+    bottom.axhline(0, color="0.6", lw=0.6, zorder=0)
+    bottom.set_xlabel(x_label)
+    bottom.set_xlim(x[0], x[-1])
+    bar = figure.colorbar(
+        ScalarMappable(norm, colours.resampled(256)), ax=[top, middle, bottom], aspect=45, pad=0.01, fraction=0.03
+    )
+    bar.set_label("t: mass of grains poured in")
+    return figure
+
+
+def draw_diagram(run: Run) -> Figure:
+    """The excess slope over the (x, t) plane with the paths of the kinks and their births, merges and exits."""
+    x, _, x_label, _ = _axes_units(run)
+    figure = _figure(8.0, 5.2)
+    axes = figure.subplots()
+    low, high = float(run.q.min()), float(run.q.max())
+    span = max(-low, high, 1e-12)
+    # one colour scale about q = 0 in which neither side drowns the other
+    norm = TwoSlopeNorm(0.0, min(low, -0.05 * span), max(high, 0.05 * span))
+    if run.time.size > 1:
+        edges = np.concatenate([run.time[:1], 0.5 * (run.time[1:] + run.time[:-1]), run.time[-1:]])
+        sheet = axes.pcolormesh(x, edges, run.q, cmap="RdBu_r", norm=norm, rasterized=True)
+        figure.colorbar(sheet, ax=axes, pad=0.01, label="excess slope q  (below 0: grains settle)")
+    scale = run.units.x if run.units else np.asarray
+    for number in sorted({k.kink for k in run.kinks}):
+        path = [(k.time, k.x) for k in run.kinks if k.kink == number]
+        path += [(e.time, e.x) for e in run.events if e.kink == number]
+        t, at = np.array(sorted(path)).T
+        axes.plot(scale(at), t, color="k", lw=1.0)
+    for kind, marker in (("birth", "o"), ("merge", "^"), ("exit", "s")):
+        marks = [e for e in run.events if e.event == kind]
+        if marks:
+            axes.plot(
+                scale(np.array([e.x for e in marks])), [e.time for e in marks],
+                marker, ms=6, mfc="white", mec="k", ls="none", label=kind, clip_on=False,
+            )  # fmt: skip
+    if run.kinks:
+        axes.plot([], [], color="k", lw=1.0, label="kink")
+        axes.legend(loc="upper left", fontsize=8, framealpha=0.9)
+    axes.set_title(run.title, loc="left", fontweight="bold")
+    axes.set_title(_subtitle(run), loc="right", fontsize=8, color="0.35")
+    axes.set_xlabel(x_label)
+    axes.set_ylabel("t: mass of grains poured in")
+    axes.set_xlim(x[0], x[-1])
+    axes.set_ylim(run.time[0], max(run.time[-1], run.time[0] + 1e-12))
+    return figure

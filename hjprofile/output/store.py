@@ -1,0 +1,202 @@
+"""A result folder: netCDF, tables and a summary, each file whole or not at all."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import tempfile
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+import hjprofile
+from hjprofile.problem.errors import InputError
+from hjprofile.problem.profiles import Units
+from hjprofile.solvers.run import Event, KinkRecord, Run
+
+VTK_FOLDER = "vtk"
+_UNITS = ("length", "critical_slope", "x_top", "height_top")
+_STALE = ("profile.png", "diagram.png", "vtk/*.pvd", "vtk/*.vtp", "vtk/*.vtr")
+
+_VARIABLES = {  # name -> dimensions, CF long name, axis
+    "time": (("time",), "mass of grains poured in", "T"),
+    "x": (("node",), "distance from the top of the slope, uphill positive", "X"),
+    "x_cell": (("cell",), "midpoints of the cells", None),
+    "u": (("time", "node"), "height of the standing profile", None),
+    "q": (("time", "cell"), "excess slope du/dx - 1, mean over the cell", None),
+    "K": (("time", "node"), "nonlocal factor: thickening of the avalanche", None),
+}
+
+
+def write_whole(path: Path, data: bytes | str) -> None:
+    """Writes beside `path` and then replaces it, so that nobody ever sees half a file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with open(handle, "wb") as stream:
+            stream.write(data.encode() if isinstance(data, str) else data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.chmod(beside, 0o644)
+        os.replace(beside, path)
+    except BaseException:
+        Path(beside).unlink(missing_ok=True)
+        raise
+
+
+def open_folder(folder: Path) -> Path:
+    """Makes the folder and tries that it can be written to. Raises OSError if not."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=folder):
+        return folder
+
+
+def write_run(run: Run, folder: Path, vtk: bool = True, plots: bool = True) -> list[Path]:
+    """Writes the whole result folder and returns its files; files of an earlier run there are replaced."""
+    files: dict[str, bytes | str] = {
+        "profile.nc": netcdf(run),
+        "kinks.csv": _table(KinkRecord._fields, run.kinks),
+        "events.csv": _table(Event._fields, run.events),
+    }
+    if vtk:
+        from hjprofile.output.vtk import vtk_files
+
+        files |= {f"{VTK_FOLDER}/{name}": data for name, data in vtk_files(run).items()}
+    if plots:
+        from hjprofile.output.plots import pictures
+
+        files |= pictures(run)
+    files["summary.json"] = to_json(summary(run))  # last: a folder with a summary is complete
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "summary.json").unlink(missing_ok=True)
+    for name, data in files.items():
+        write_whole(folder / name, data)
+    for pattern in _STALE:
+        for path in folder.glob(pattern):
+            if path.relative_to(folder).as_posix() not in files:
+                path.unlink()
+    return [folder / name for name in files]
+
+
+def netcdf(run: Run) -> bytes:
+    """`profile.nc`: netCDF-3 with 64-bit offsets and CF attributes."""
+    from scipy.io import netcdf_file
+
+    buffer = io.BytesIO()
+    file = netcdf_file(buffer, "w", version=2)
+    file.Conventions = "CF-1.8"
+    file.title, file.method, file.status = run.title or " ", run.method, run.status
+    file.case = tomli_w.dumps(dict(run.case))
+    file.hjprofile_version = hjprofile.__version__
+    if run.units:
+        for name in _UNITS:
+            setattr(file, name, np.float64(getattr(run.units, name)))  # a plain float would be stored in single precision
+    for dimension, size in (("time", run.time.size), ("node", run.x.size), ("cell", run.x_cell.size)):
+        file.createDimension(dimension, size)
+    for name, (dimensions, long_name, axis) in _VARIABLES.items():
+        variable = file.createVariable(name, "f8", dimensions)
+        variable[:] = getattr(run, name)
+        variable.long_name, variable.units = long_name, "1"
+        if axis:
+            variable.axis = axis
+    file.flush()
+    data = buffer.getvalue()
+    file.close()
+    return data
+
+
+def summary(run: Run) -> dict[str, Any]:
+    """`summary.json`, as a dictionary."""
+    updates = run.steps * run.cells / run.wall_seconds if run.wall_seconds > 0 else None
+    content = {
+        "title": run.title,
+        "method": run.method,
+        "status": run.status,
+        "cells": run.cells,
+        "steps": run.steps,
+        "time_step": {"least": run.step_range[0], "largest": run.step_range[1]},
+        "wall_seconds": run.wall_seconds,
+        "cell_updates_per_second": updates,
+        "end": float(run.time[-1]),
+        "kinks_at_end": len(run.kinks_at(-1)),
+        "eroded_volume": run.eroded_volume,
+        "volume_budget": {"difference": run.volume_budget_error, "promise": run.bounds["volume_budget"].allowance}
+        if "volume_budget" in run.bounds
+        else None,
+        "bounds": {
+            name: {"holds": b.holds, "worst_margin": b.worst_margin, "time": b.time, "allowance": b.allowance}
+            for name, b in run.bounds.items()
+        },
+        "hjprofile_version": hjprofile.__version__,
+    }
+    if run.units:
+        content["units"] = {name: getattr(run.units, name) for name in _UNITS}
+        content["units"]["volume_of_one"] = run.units.volume
+    if run.account:
+        content["account"] = run.account
+    return content
+
+
+def to_json(content: Any) -> str:
+    """JSON text, with null for what is not a finite number."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {k: plain(v) for k, v in value.items()}
+        if isinstance(value, (list, tuple)):
+            return [plain(v) for v in value]
+        if isinstance(value, np.generic):
+            value = value.item()
+        return None if isinstance(value, float) and not np.isfinite(value) else value
+
+    return json.dumps(plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _table(header: Iterable[str], rows: Iterable[tuple]) -> str:
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(header)
+    for row in rows:
+        writer.writerow(["" if v is None else repr(float(v)) if isinstance(v, float) else v for v in row])
+    return stream.getvalue()
+
+
+def load_run(folder: str | Path) -> Run:
+    """A run read back from its result folder. Raises InputError if there is none."""
+    from scipy.io import netcdf_file
+
+    folder = Path(folder)
+    try:
+        with netcdf_file(folder / "profile.nc", "r", mmap=False) as file:
+            arrays = {name: np.array(file.variables[name][:], dtype=float) for name in _VARIABLES}
+            text = {n: getattr(file, n).decode() for n in ("title", "method", "case", "status")}
+            units = Units(*(float(getattr(file, n)) for n in _UNITS)) if hasattr(file, _UNITS[0]) else None
+        kinks = [
+            KinkRecord(*(int(v) if n == "kink" else float(v) for n, v in row.items())) for row in _read(folder, "kinks.csv")
+        ]
+        events = [
+            Event(float(r["time"]), r["event"], int(r["kink"]), int(r["into"]) if r["into"] else None, float(r["x"]))
+            for r in _read(folder, "events.csv")
+        ]
+        content = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise InputError(f"{folder} is not a complete result folder: {Path(error.filename).name} is missing") from None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{folder} is not a readable result folder: {type(error).__name__}: {error}") from None
+    return Run(
+        title=text["title"].strip(), method=text["method"], case=tomllib.loads(text["case"]), **arrays,
+        status=text["status"], steps=content["steps"], wall_seconds=content["wall_seconds"],
+        kinks=kinks, events=events, eroded_volume=content["eroded_volume"], units=units,
+        account=content.get("account", ""),
+    )  # fmt: skip
+
+
+def _read(folder: Path, name: str) -> list[dict[str, str]]:
+    with open(folder / name, newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))

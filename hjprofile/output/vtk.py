@@ -1,0 +1,100 @@
+"""VTK files for ParaView; the only module that knows pyvista.
+
+Files are serialised in memory and written by Python: VTK's own writer says nothing when a disk is full.
+"""
+
+from __future__ import annotations
+
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+import pyvista
+from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLRectilinearGridWriter
+
+from hjprofile.solvers.run import Array, Run
+
+
+def vtk_files(run: Run) -> dict[str, bytes | str]:
+    """Name -> content: profiles and kinks at each saved time with their `.pvd`, and the (x, t) sheet.
+
+    A survey's files are in its own units; time stays dimensionless.
+    """
+    files: dict[str, bytes | str] = {}
+    collections: dict[str, list[tuple[float, str]]] = {"profile": [], "kinks": []}
+    digits = max(4, len(str(run.time.size)))
+    for i, t in enumerate(run.time):
+        for name, mesh in (("profile", _profile(run, i)), ("kinks", _kinks(run, i))):
+            mesh.field_data["TimeValue"] = np.array([t])
+            file = f"{name}_{i:0{digits}d}.vtp"
+            files[file] = _serialise(mesh, vtkXMLPolyDataWriter())
+            collections[name].append((float(t), file))
+    for name, members in collections.items():
+        files[f"{name}.pvd"] = _collection(members)
+    files["sheet.vtr"] = _serialise(_sheet(run), vtkXMLRectilinearGridWriter())
+    return files
+
+
+def _places(run: Run, x: Array, u: Array) -> tuple[Array, Array, float]:
+    """x and u in the units of the survey, if there is one, and the critical slope."""
+    if run.units is None:
+        return x, u, 1.0
+    return run.units.x(x), run.units.height(u), run.units.critical_slope
+
+
+def _at_nodes(q: Array) -> Array:
+    """Cell means carried to the nodes: mean of both neighbours, at the ends the only one."""
+    padded = np.concatenate([q[..., :1], q, q[..., -1:]], axis=-1)
+    return 0.5 * (padded[..., 1:] + padded[..., :-1])
+
+
+def _profile(run: Run, i: int) -> pyvista.PolyData:
+    x, u, critical = _places(run, run.x, run.u[i])
+    n = run.cells
+    lines = np.column_stack([np.full(n, 2), np.arange(n), np.arange(1, n + 1)]).ravel()
+    mesh = pyvista.PolyData(np.column_stack([x, u, np.zeros(n + 1)]), lines=lines)
+    mesh.point_data["u"] = u
+    mesh.point_data["slope"] = critical * (1.0 + _at_nodes(run.q[i]))
+    mesh.point_data["K"] = run.K[i]
+    mesh.cell_data["q"] = run.q[i]
+    return mesh
+
+
+def _kinks(run: Run, i: int) -> pyvista.PolyData:
+    kinks = run.kinks_at(i)
+    at = np.array([k.x for k in kinks], dtype=float)
+    x, u, _ = _places(run, at, np.interp(at, run.x, run.u[i]))
+    mesh = pyvista.PolyData()
+    if kinks:
+        mesh = pyvista.PolyData(np.column_stack([x, u, np.zeros(at.size)]))
+    length = run.units.length if run.units else 1.0
+    mesh.point_data["kink"] = np.array([k.kink for k in kinks], dtype=np.int64)
+    mesh.point_data["jump"] = np.array([k.jump for k in kinks], dtype=float)
+    mesh.point_data["speed"] = length * np.array([k.speed for k in kinks], dtype=float)
+    return mesh
+
+
+def _sheet(run: Run) -> pyvista.RectilinearGrid:
+    x, u, _ = _places(run, run.x, run.u)
+    mesh = pyvista.RectilinearGrid(x, run.time, np.zeros(1))
+    for axis, name in (("X", "x"), ("Y", "t"), ("Z", "z")):
+        getattr(mesh, f"Get{axis}Coordinates")().SetName(name)  # without a name VTK makes one up anew in each run
+    for name, values in (("u", u), ("q", _at_nodes(run.q)), ("K", run.K)):
+        mesh.point_data[name] = np.ascontiguousarray(values).ravel()
+    return mesh
+
+
+def _serialise(mesh: pyvista.DataSet, writer) -> bytes:
+    writer.SetInputData(mesh)
+    writer.SetDataModeToBinary()
+    writer.WriteToOutputStringOn()
+    if not writer.Write():
+        raise OSError("VTK could not serialise a mesh")
+    return writer.GetOutputString().encode()
+
+
+def _collection(members: list[tuple[float, str]]) -> str:
+    rows = "\n".join(f'    <DataSet timestep="{t!r}" part="0" file={quoteattr(file)}/>' for t, file in members)
+    return (
+        '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n'
+        f"  <Collection>\n{rows}\n  </Collection>\n</VTKFile>\n"
+    )
