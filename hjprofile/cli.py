@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 from cyclopts import App, CycloptsError, Parameter
 
 import hjprofile
-from hjprofile.problem.errors import InputError, RunError
+from hjprofile.errors import InputError, RunError
 
 if TYPE_CHECKING:
     from hjprofile.evidence.consistency import Check
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 app = App(
     name="hjprofile",
     version=hjprofile.__version__,
+    help_format="plaintext",
     help="Slow erosion of granular slopes: a nonlocal Hamilton-Jacobi equation and its cross-checks.",
 )
 
@@ -31,7 +32,7 @@ Out = Annotated[Path | None, Parameter(help="Folder for the results; results/<ca
 
 @app.command
 def run(
-    case: str, *, method: Method = None, cells: Cells = None, cfl: Cfl = None, end: End = None, out: Out = None
+    case: str, /, *, method: Method = None, cells: Cells = None, cfl: Cfl = None, end: End = None, out: Out = None
 ) -> None:
     """Solve a case and write its result folder.
 
@@ -70,7 +71,7 @@ def check(*case: str, out: Out = None) -> None:
     loaded = [load_case(c) for c in case]
     folder = out or (Path("results") / loaded[0].name if len(loaded) == 1 else Path("results"))
     open_folder(folder)
-    verdicts = []
+    verdicts: list[dict[str, Any]] = []
     for one in loaded:
         with _Progress(f"checking {one.name}") as progress:
             checks = check_consistency(one.problem, one.grid, one.cfl, progress)
@@ -88,7 +89,7 @@ def check(*case: str, out: Out = None) -> None:
 
 
 @app.command
-def plot(result: Path, *, out: Out = None) -> None:
+def plot(result: Path, /, *, out: Out = None) -> None:
     """Draw the pictures of a result folder again, into it or into another folder."""
     from hjprofile.output.plots import pictures
     from hjprofile.output.store import load_run, write_whole
@@ -100,7 +101,7 @@ def plot(result: Path, *, out: Out = None) -> None:
 
 
 @app.command
-def export(result: Path, *, vtk: bool = False, out: Out = None) -> None:
+def export(result: Path, /, *, vtk: bool = False, out: Out = None) -> None:
     """Write the VTK files of a result folder, into its folder `vtk` or into another.
 
     Parameters
@@ -184,7 +185,8 @@ class _Progress:
     """A bar with the time that is left, on stderr, for what takes longer than a second on a terminal."""
 
     def __init__(self, label: str):
-        self.label, self.started, self.bar = label, time.monotonic(), None
+        self.label, self.started = label, time.monotonic()
+        self.bar: Any = None
 
     def __enter__(self) -> _Progress:
         return self

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hjprofile.problem.errors import InputError
+from hjprofile.errors import InputError
 from hjprofile.solvers.run import Array, Run
 
 STRONG = 0.25  # jump above which every method here sees a kink on a few hundred cells

@@ -24,8 +24,8 @@ LEAST_CELLS, MOST_CELLS = 2000, 4000  # of the finest grid; orders read on coars
 # Rounding: 1e-16 |W| / dx a step, added up over 1e4 steps at random, with |W| of order 1 and dx of order 1e-3
 IDENTITY = 1e-10
 ROUNDING = 1e-10
-# Theory gives order 1/2 in L1(q) at worst, and only in the limit; Lax-Friedrichs on a rough survey shows 0.3 on grids of
-# 250 to 2000 cells. Solvers of different equations show 0.
+# Theory gives order 1/2 in L1(q) at worst, and only in the limit; Lax-Friedrichs on a rough survey shows 0.3 on grids
+# of 250 to 2000 cells. Solvers of different equations show 0.
 ORDER_Q = 0.25
 ORDER_U = 0.5
 # u extrapolated from two first-order grids is second order beside kinks (measured 1.5 to 2.2), but not in the fan that
@@ -63,7 +63,12 @@ def check_consistency(
         runs[method, cells] = solve(problem, Grid(grid.left, cells), method, cfl)
         if progress:
             progress((i + 1) / len(plan))
-    return [*_completed(runs), *_identities(runs, finest), *_independence(runs, ladder, problem), *_budgets(runs, ladder)]
+    return [
+        *_completed(runs),
+        *_identities(runs, finest),
+        *_independence(runs, ladder, problem),
+        *_budgets(runs, ladder),
+    ]
 
 
 def _completed(runs: dict[tuple[str, int], Run]) -> Iterator[Check]:
@@ -121,7 +126,7 @@ def _finite(order: float) -> float | None:
 
 
 def _extrapolated_error(runs: dict[tuple[str, int], Run], cells: int) -> float:
-    """Mean over time of the L1 distance between 2 u(dx) - u(2 dx) of Godunov's scheme and the conservative solver's u."""
+    """Mean over time of ∫|2 u(dx) - u(2 dx) - u| dx: Godunov's scheme extrapolated against the conservative solver."""
     fine, coarse, conservative = runs["godunov", cells], runs["godunov", cells // 2], runs["conservative", cells]
     times = min(r.time.size for r in (fine, coarse, conservative))
     apart = 2 * fine.u[:times, ::2] - coarse.u[:times] - conservative.u[:times, ::2]
@@ -135,6 +140,4 @@ def _budgets(runs: dict[tuple[str, int], Run], ladder: list[int]) -> Iterator[Ch
     telescoping = runs["telescoping", finest].volume_budget_error
     yield _bounded("budget:telescoping", finest, telescoping, ROUNDING, "to rounding")
     for method in (*HJ_METHODS, "conservative"):
-        yield _ordered(
-            f"budget:{method}", ladder, [runs[method, n].volume_budget_error for n in ladder], ORDER_BUDGET
-        )
+        yield _ordered(f"budget:{method}", ladder, [runs[method, n].volume_budget_error for n in ladder], ORDER_BUDGET)

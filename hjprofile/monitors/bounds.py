@@ -32,6 +32,7 @@ class BoundsMonitor:
         self.eroded_volume = 0.0
         self.budget_error = 0.0  # worst so far
         self.budget_allowance = 0.0
+        self.t = self.allowance_rate = 0.0
 
     def observe(self, state: State) -> None:
         q, dx, t = state.q, self.grid.dx, state.t

@@ -56,7 +56,7 @@ def _rises(q: Array) -> list[tuple[int, int]]:
     steep = d >= LEAST_JUMP / WIDEST
     peaks = np.flatnonzero(steep & (d >= np.append(d[1:], -np.inf)) & (d > np.append(-np.inf, d[:-1])))
     rises: list[tuple[int, int]] = []
-    for p in peaks:
+    for p in peaks.tolist():
         floor, a, b = FOOT * d[p], p, p + 1
         while a > 0 and p - a < 2 * WIDEST and d[a - 1] > floor:
             a -= 1
@@ -160,7 +160,7 @@ class KinkTracker:
     def observe(self, state: State) -> None:
         self.frames.append((state.t, detect_kinks(self.grid, state.q, state.K)))
 
-    def result(self, kept: Sequence[float]) -> tuple[list[KinkRecord], list[Event]]:
+    def result(self, kept: Array) -> tuple[list[KinkRecord], list[Event]]:
         """Kinks at the kept times, and the events of the whole run."""
         paths = link(self.frames, self.grid.dx, self._speed)
         records = []
@@ -255,7 +255,7 @@ def _leaves(path: _Path, t: float, dx: float, speed: Speed) -> bool:
 
 
 def _merge(loser: _Path, winner: _Path, speed: Speed) -> None:
-    """Ends `loser` where it meets `winner`; shocks that touch are seen as one too early, so the place is extrapolated."""
+    """Ends `loser` where it meets `winner`: extrapolated, for shocks that touch are seen as one too early."""
     common = sorted(set(loser.times) & set(winner.times))[-MEMORY:]
     if common:
         xs = [np.array([p.sightings[p.times.index(t)].x for t in common]) for p in (loser, winner)]

@@ -16,7 +16,7 @@ import numpy as np
 import tomli_w
 
 import hjprofile
-from hjprofile.problem.errors import InputError
+from hjprofile.errors import InputError
 from hjprofile.problem.profiles import Units
 from hjprofile.solvers.run import Event, KinkRecord, Run
 
@@ -96,7 +96,9 @@ def netcdf(run: Run) -> bytes:
     file.hjprofile_version = hjprofile.__version__
     if run.units:
         for name in _UNITS:
-            setattr(file, name, np.float64(getattr(run.units, name)))  # a plain float would be stored in single precision
+            setattr(
+                file, name, np.float64(getattr(run.units, name))
+            )  # a plain float would be stored in single precision
     for dimension, size in (("time", run.time.size), ("node", run.x.size), ("cell", run.x_cell.size)):
         file.createDimension(dimension, size)
     for name, (dimensions, long_name, axis) in _VARIABLES.items():
@@ -114,7 +116,7 @@ def netcdf(run: Run) -> bytes:
 def summary(run: Run) -> dict[str, Any]:
     """`summary.json`, as a dictionary."""
     updates = run.steps * run.cells / run.wall_seconds if run.wall_seconds > 0 else None
-    content = {
+    content: dict[str, Any] = {
         "title": run.title,
         "method": run.method,
         "status": run.status,
@@ -178,7 +180,8 @@ def load_run(folder: str | Path) -> Run:
             text = {n: getattr(file, n).decode() for n in ("title", "method", "case", "status")}
             units = Units(*(float(getattr(file, n)) for n in _UNITS)) if hasattr(file, _UNITS[0]) else None
         kinks = [
-            KinkRecord(*(int(v) if n == "kink" else float(v) for n, v in row.items())) for row in _read(folder, "kinks.csv")
+            KinkRecord(**{n: int(v) if n == "kink" else float(v) for n, v in row.items()})  # type: ignore[arg-type]
+            for row in _read(folder, "kinks.csv")
         ]
         events = [
             Event(float(r["time"]), r["event"], int(r["kink"]), int(r["into"]) if r["into"] else None, float(r["x"]))
@@ -190,7 +193,7 @@ def load_run(folder: str | Path) -> Run:
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{folder} is not a readable result folder: {type(error).__name__}: {error}") from None
     return Run(
-        title=text["title"].strip(), method=text["method"], case=tomllib.loads(text["case"]), **arrays,
+        title=text["title"].strip(), method=text["method"], case=tomllib.loads(text["case"]), **arrays,  # type: ignore[arg-type]
         status=text["status"], steps=content["steps"], wall_seconds=content["wall_seconds"],
         kinks=kinks, events=events, eroded_volume=content["eroded_volume"], units=units,
         account=content.get("account", ""),

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hjprofile.errors import InputError
 from hjprofile.problem.erosion import ErosionLaw
-from hjprofile.problem.errors import InputError
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Profile
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from hjprofile.errors import InputError
 from hjprofile.problem import Problem, erosion, profiles
-from hjprofile.problem.errors import InputError
 from hjprofile.problem.grid import Grid
 
 DEFAULT_METHOD = "local-lax-friedrichs"
@@ -49,7 +49,8 @@ class _Section:
         self.source, self.name = source, name
         if not isinstance(values, dict):
             raise InputError(f"{source}: {name} must be a table, written [{name}]")
-        self.values, self.known = dict(values), []
+        self.values: dict[str, Any] = dict(values)
+        self.known: list[str] = []
 
     def error(self, message: str) -> InputError:
         return InputError(f"{self.source}: {'[' + self.name + '] ' if self.name else ''}{message}")
@@ -262,4 +263,6 @@ def find_case(case: str | Path) -> Path:
         return shipped[str(case)]
     close = difflib.get_close_matches(path.stem, shipped, 1)
     hint = f"; did you mean {close[0]!r}?" if close else ""
-    raise InputError(f"{case}: no such file, nor a case that comes with the package{hint} (they are: {', '.join(shipped)})")
+    raise InputError(
+        f"{case}: no such file, nor a case that comes with the package{hint} (they are: {', '.join(shipped)})"
+    )

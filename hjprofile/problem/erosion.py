@@ -16,12 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import Chebyshev
 
-from hjprofile.problem.errors import InputError
+from hjprofile.errors import InputError
 
 Array = np.ndarray
 Function = Callable[[Any], Any]
 
-NEAR_ZERO = 0.05  # |q| below which q/f(q) is read from a polynomial: there f may be a difference of numbers of order one
+NEAR_ZERO = (
+    0.05  # |q| below which q/f(q) is read from a polynomial: there f may be a difference of numbers of order one
+)
 _STENCIL = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])  # eighth-order central difference
 
 
@@ -190,7 +192,8 @@ def expression(text: str) -> ErosionLaw:
             called = {id(n.func) for n in ast.walk(tree) if isinstance(n, ast.Call)}
             fine = isinstance(node, _NODES)
             if isinstance(node, ast.Constant):
-                fine = type(node.value) in (int, float) and np.isfinite(float(node.value))
+                fine = isinstance(node.value, (int, float)) and not isinstance(node.value, bool)
+                fine = fine and bool(np.isfinite(float(node.value)))  # type: ignore[arg-type]
             elif isinstance(node, ast.Name):
                 fine = node.id in _FUNCTIONS if id(node) in called else node.id == "q"
             elif isinstance(node, ast.Call):
@@ -213,10 +216,10 @@ def expression(text: str) -> ErosionLaw:
                 value = np.nan
             return value + 0.0 * q
 
-    return from_function(f, table={"law": "expression", "expression": text.strip()})
+    return erosion_law(f, table={"law": "expression", "expression": text.strip()})
 
 
-def from_function(
+def erosion_law(
     f: Function, derivative: Function | None = None, inverse: Function | None = None, table: Mapping | None = None
 ) -> ErosionLaw:
     """A law from a Python function of q; f' and the inverse are derived where they are not given.
@@ -238,7 +241,7 @@ def from_function(
 def from_file(path: Path, function: str, file: str | None = None) -> ErosionLaw:
     """A law from the function of that name in a Python file, which is run."""
     f = load_function(path, function)
-    return from_function(f, table={"law": "python", "file": file or str(path), "function": function})
+    return erosion_law(f, table={"law": "python", "file": file or str(path), "function": function})
 
 
 def load_function(path: Path, function: str) -> Function:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hjprofile.problem.errors import InputError
+from hjprofile.errors import InputError
 
 
 @dataclass(frozen=True)

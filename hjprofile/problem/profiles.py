@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
+from hjprofile.errors import InputError
 from hjprofile.problem.erosion import Array, ErosionLaw
-from hjprofile.problem.errors import InputError
 from hjprofile.problem.grid import Grid
 
 TAIL = 1e-6  # mass and slope that a grid may cut off on the left; a grid solver's own error is larger
 REPAIR_SLOPE = 0.05  # least slope that a repaired survey keeps, as a fraction of the critical slope
 
 
-def _numbers(name: str, values: Sequence[float], least: int = 1) -> Array:
+def _numbers(name: str, values: Any, least: int = 1) -> Array:
     try:
         array = np.asarray(values, dtype=float)
     except (TypeError, ValueError):
@@ -83,10 +83,17 @@ class Profile:
         account: a sentence on what was done to the data, or "".
     """
 
-    table: Mapping[str, Any]
-    inflow: float = 0.0
     units: Units | None = None
     account: str = ""
+
+    @property
+    def table(self) -> Mapping[str, Any]:
+        """The `[profile]` table of a case file that makes this profile again."""
+        raise NotImplementedError
+
+    @property
+    def inflow(self) -> float:
+        return 0.0
 
     def W(self, x: Array, law: ErosionLaw) -> Array:
         """u - x at x (any shape)."""
@@ -280,7 +287,7 @@ class Steady(Profile):
         return {"kind": "steady", "flux": float(self.flux)} | kink
 
     @property
-    def inflow(self) -> float:  # type: ignore[override]
+    def inflow(self) -> float:
         return self.flux if self.kink is None else 0.0
 
     def start(self) -> float:
@@ -386,7 +393,7 @@ def steady(flux: float, kink: float | None = None) -> Profile:
     return Steady(flux, kink)
 
 
-def from_function(u: Callable[[Any], Any]) -> Profile:
+def profile(u: Callable[[Any], Any]) -> Profile:
     """A profile from a Python function u(x), x <= 0."""
     return Given(u)
 
@@ -453,7 +460,8 @@ def _read_survey(path: Path) -> tuple[Array, Array, list[int]]:
     if not lines or [c.strip() for c in lines[0][1]] != ["x", "height"]:
         found = ",".join(lines[0][1]) if lines else "nothing"
         raise InputError(f"file = {str(path)!r} must begin with the header 'x,height', not {found!r}")
-    rows, values = [], []
+    rows: list[int] = []
+    values: list[tuple[float, float]] = []
     for n, row in lines[1:]:
         try:
             x, height = (float(c) for c in row)
@@ -462,7 +470,9 @@ def _read_survey(path: Path) -> tuple[Array, Array, list[int]]:
         if not (np.isfinite(x) and np.isfinite(height)):
             raise InputError(f"file = {str(path)!r} row {n}: {','.join(row)!r} must be finite")
         if values and x <= values[-1][0]:
-            raise InputError(f"file = {str(path)!r} row {n}: x = {x:g} must be greater than the x = {values[-1][0]:g} before it")
+            raise InputError(
+                f"file = {str(path)!r} row {n}: x = {x:g} must be greater than the x = {values[-1][0]:g} before it"
+            )
         rows.append(n)
         values.append((x, height))
     if len(values) < 2:

@@ -56,12 +56,12 @@ def travelling_kink(law: ErosionLaw, amplitude: float, start: float) -> MovingKi
     if law.name == "rational":
         from scipy.special import lambertw
 
-        def path(t: float) -> float:
+        def path_by_lambert(t: float) -> float:
             # s + A e^s = c; A e^s = W(A e^c)
             c = start + amplitude * np.exp(start) + t
             return float(c - lambertw(amplitude * np.exp(c)).real)
 
-        return MovingKink(law, path, at, -start + amplitude * -np.expm1(start))
+        return MovingKink(law, path_by_lambert, at, -start + amplitude * -np.expm1(start))
 
     from scipy.integrate import solve_ivp
     from scipy.optimize import brentq

@@ -18,7 +18,9 @@ OBSERVATIONS = 512  # states that monitors see, beside the snapshots: kink paths
 class Scheme(Protocol):
     """A space discretisation with its own time step. `W`, `q`, `K` are valid after `evaluate`."""
 
-    W: Array
+    @property
+    def W(self) -> Array: ...
+
     q: Array
     K: Array
     growth: float

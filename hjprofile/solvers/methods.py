@@ -5,11 +5,11 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable
 
+from hjprofile.errors import InputError
 from hjprofile.monitors.bounds import BoundsMonitor
 from hjprofile.monitors.kinks import KinkTracker
 from hjprofile.problem import Problem
 from hjprofile.problem.case import DEFAULT_CFL, DEFAULT_METHOD, Case, resolved_case
-from hjprofile.problem.errors import InputError
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers import conservation, hj
 from hjprofile.solvers.march import Scheme, march
@@ -23,7 +23,11 @@ METHODS = HJ_METHODS + CONSERVATIVE_METHODS
 
 
 def solve_hj(
-    problem: Problem, grid: Grid, method: str = DEFAULT_METHOD, cfl: float = DEFAULT_CFL, progress: Progress | None = None
+    problem: Problem,
+    grid: Grid,
+    method: str = DEFAULT_METHOD,
+    cfl: float = DEFAULT_CFL,
+    progress: Progress | None = None,
 ) -> Run:
     """Solves u_t + K f(u_x - 1) = 0 with a monotone first-order scheme on the nodes.
 
@@ -36,7 +40,11 @@ def solve_hj(
 
 
 def solve_conservative(
-    problem: Problem, grid: Grid, method: str = "conservative", cfl: float = DEFAULT_CFL, progress: Progress | None = None
+    problem: Problem,
+    grid: Grid,
+    method: str = "conservative",
+    cfl: float = DEFAULT_CFL,
+    progress: Progress | None = None,
 ) -> Run:
     """Solves q_t + (K f(q))_x = 0 on the cells; `method` is one of CONSERVATIVE_METHODS.
 
