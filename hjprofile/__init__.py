@@ -55,7 +55,7 @@ _MODULES = {
 }
 _HOME = {name: f"hjprofile.{module}" for module, names in _MODULES.items() for name in names}
 
-__all__ = [*_HOME, "__version__"]  # noqa: PLE0604
+__all__ = [*_HOME, "__version__"]
 
 
 def __getattr__(name: str) -> Any:
