@@ -43,16 +43,16 @@ class Sighting(NamedTuple):
 def detect_kinks(grid: Grid, q: Array, K: Array) -> list[Sighting]:
     """The kinks of cell means q (shape (cells,)) with K on the nodes, from left to right."""
     found = []
-    for a, b in _rises(q):
-        sighting = _locate(grid, q, K, a, b)
+    d = np.diff(q)
+    for a, b in _rises(q, d):
+        sighting = _locate(grid, q, d, K, a, b)
         if sighting is not None and sighting.jump >= LEAST_JUMP:
             found.append(sighting)
     return found
 
 
-def _rises(q: Array) -> list[tuple[int, int]]:
-    """Cells (a, b) between which q rises too steeply for the grid: a is the foot, b the crest."""
-    d = np.diff(q)
+def _rises(q: Array, d: Array) -> list[tuple[int, int]]:
+    """Cells (a, b) between which q rises too steeply for the grid: a is the foot, b the crest; d = diff(q)."""
     steep = d >= LEAST_JUMP / WIDEST
     peaks = np.flatnonzero(steep & (d >= np.append(d[1:], -np.inf)) & (d > np.append(-np.inf, d[:-1])))
     rises: list[tuple[int, int]] = []
@@ -79,12 +79,13 @@ def _line(grid: Grid, q: Array, first: int, last: int, near: float) -> tuple[flo
     values = q[first : last + 1]
     if n < 3:
         return float(values[-1] if x[-1] < 0 else values[0]), 0.0
-    centred = x - x.mean()
+    mean_x, mean = float(x.sum()) / n, float(values.sum()) / n
+    centred = x - mean_x
     slope = float(centred @ values / (centred @ centred))
-    return float(values.mean() - slope * x.mean()), slope
+    return mean - slope * mean_x, slope
 
 
-def _locate(grid: Grid, q: Array, K: Array, a: int, b: int) -> Sighting | None:
+def _locate(grid: Grid, q: Array, d: Array, K: Array, a: int, b: int) -> Sighting | None:
     """Place of the kink between foot a and crest b by conservation, with one-sided values there."""
     x, dx = grid.nodes, grid.dx
     middle = 0.5 * (x[a] + x[b + 1])
@@ -92,7 +93,6 @@ def _locate(grid: Grid, q: Array, K: Array, a: int, b: int) -> Sighting | None:
     left_start = left_end - FIT + 1
     right_stop = right_end + FIT - 1
     # never fit across a neighbouring rise or the end of the grid
-    d = np.diff(q)
     steep = LEAST_JUMP / WIDEST
     while left_start < max(left_end, 0) and (left_start < 0 or d[left_start] > steep):
         left_start += 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -27,12 +28,12 @@ class Grid:
     def dx(self) -> float:
         return -self.left / self.cells
 
-    @property
+    @cached_property
     def nodes(self) -> np.ndarray:
         """x_i, shape (cells + 1,); the last is exactly 0."""
         return self.left * (np.arange(self.cells, -1, -1) / self.cells)
 
-    @property
+    @cached_property
     def centres(self) -> np.ndarray:
         """Midpoints of the cells, shape (cells,)."""
         return self.left * (np.arange(self.cells - 0.5, 0, -1) / self.cells)
@@ -44,10 +45,12 @@ class Grid:
         except (AttributeError, ValueError, OSError):  # not a POSIX system: let the allocation itself fail
             return
         # u, q, K of every snapshot, twice (the file is put together in memory), and the solver's arrays
-        needed = 8 * self.cells * (6 * snapshots + 30)
+        cell = 8 * (6 * snapshots + 30)
+        needed = int(self.cells) * cell
         if needed > memory:
-            most = int(memory / (8 * (6 * snapshots + 30)))
+            most = memory // cell
+            remedy = f"at most {most} cells fit" if most >= 4 else "keep fewer snapshots"
             raise InputError(
-                f"cells = {self.cells} with {snapshots} snapshots needs {needed / 2**30:.3g} GiB of memory and this "
-                f"machine has {memory / 2**30:.3g}; at most {most} cells fit"
+                f"cells = {self.cells} with {snapshots} snapshots needs {min(needed, 2**99) / 2**30:.3g} GiB of "
+                f"memory and this machine has {memory / 2**30:.3g}; {remedy}"
             )

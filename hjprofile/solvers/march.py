@@ -8,10 +8,12 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from hjprofile.errors import RunError
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.run import Array, Monitor, State
 
+STEP_FLOOR = 1e-9  # of the run's end: more steps than this allows would take days
 OBSERVATIONS = 512  # states that monitors see, beside the snapshots: kink paths then have many points per cell crossed
 
 
@@ -54,6 +56,10 @@ class Breakdown(Exception):
         self.q = float(q[self.cell])
 
 
+class _StepTooSmall(Exception):
+    """The time step fell below STEP_FLOOR."""
+
+
 class Recording(NamedTuple):
     times: Array
     W: Array
@@ -85,7 +91,14 @@ def march(
     def save() -> None:
         saved.append((t, scheme.W.copy(), scheme.q.copy(), scheme.K.copy()))
 
-    speed = scheme.evaluate()
+    try:
+        speed = scheme.evaluate()
+    except Breakdown as broken:
+        x = grid.centres[broken.cell]
+        raise RunError(
+            f"the run cannot start: K f' is not a finite number near x = {x:.6g}, where q = {broken.q:.6g}; "
+            "the integral of f is too large (K spans more than 300 decades) or q is too near -1"
+        ) from None
     scheme.advance(0.0)  # compiles what is to be compiled
     watch(speed)
     if kept[0] == 0.0:
@@ -104,13 +117,13 @@ def march(
                         dt = remaining
                     elif 2 * dt > remaining:  # two equal steps rather than a long and a tiny one
                         dt = 0.5 * remaining
+                    if dt < STEP_FLOOR * problem.end and dt < remaining:
+                        raise _StepTooSmall
                     scheme.advance(dt)
                     speed = scheme.evaluate()
-                    before, t = t, target if dt == remaining else t + dt
+                    t = target if dt == remaining else t + dt
                     steps += 1
                     shortest, longest = min(shortest, dt), max(longest, dt)
-                    if t == before:
-                        raise ZeroDivisionError
                 seconds += time.perf_counter() - started
                 while mark <= t:
                     mark += interval
@@ -119,15 +132,24 @@ def march(
                 save()
     except Breakdown as broken:
         status = _breakdown_sentence(broken, grid, t, dt, cfl)
-    except ZeroDivisionError:
-        status = f"stopped at t = {t:.6g}: the time step {dt:.3g} is lost in rounding (max K f' = {speed:.3g})"
-    if status != "done":
         scheme.restore()
         speed = scheme.evaluate()
+    except _StepTooSmall:
+        status = _small_step_sentence(scheme, problem, grid, t, dt, speed)
+    if status != "done":
         if not saved or saved[-1][0] < t:
             save()
     times, W, q, K = (np.array(column) for column in zip(*saved, strict=True))
     return Recording(times, W, q, K, status, steps, (float(shortest), float(longest)), seconds)
+
+
+def _small_step_sentence(scheme: Scheme, problem: Problem, grid: Grid, t: float, dt: float, speed: float) -> str:
+    fastest = int(np.argmax(np.maximum(scheme.K[1:], scheme.K[:-1]) * problem.law.derivative(scheme.q)))
+    return (
+        f"stopped at t = {t:.6g}: the time step {dt:.3g} fell below {STEP_FLOOR:g} of the run, since K f' = {speed:.3g} "
+        f"at x = {grid.centres[fastest]:.6g} (K = {scheme.K[fastest]:.3g}, q = {scheme.q[fastest]:.6g}); "
+        "use fewer cells or an earlier end"
+    )
 
 
 def _breakdown_sentence(broken: Breakdown, grid: Grid, t: float, dt: float, cfl: float) -> str:

@@ -1,0 +1,113 @@
+"""Kinks on the grid: place, jump, speed, numbers, births, merges and exits."""
+
+import numpy as np
+import oracles
+import pytest
+
+import hjprofile as hj
+from hjprofile.monitors.kinks import Sighting, detect_kinks, link
+from hjprofile.solvers.closed_forms import travelling_kink
+
+GODUNOV_2000 = {"grid": hj.Grid(-10.0, 2000), "method": "godunov"}
+
+
+def test_one_travelling_kink():
+    exact = travelling_kink(hj.rational(), 1.0, -6.0)
+    problem = hj.Problem(hj.rational(), hj.kinks([-6.0], [1.0]), end=8.0, snapshots=33)
+    run = hj.solve_hj(problem, **GODUNOV_2000)
+    assert {k.kink for k in run.kinks} == {1}
+    for k in run.kinks:
+        assert abs(k.x - exact.path(k.time)) <= 1.5 * 0.005
+        assert k.jump == pytest.approx(1.0, rel=0.05)
+        if -5.9 < k.x < -0.1:  # the measured speed is a slope over several sightings
+            assert k.speed == pytest.approx(k.rankine_hugoniot_speed, rel=0.03)
+    assert len(run.kinks) == np.count_nonzero(run.time < exact.exit_time)
+    (leaving,) = run.events
+    assert (leaving.event, leaving.kink, leaving.x) == ("exit", 1, 0.0)
+    assert abs(leaving.time - exact.exit_time) <= 2 * 0.005 / 0.5  # two cells at the speed at which it leaves
+
+
+@pytest.mark.parametrize("method", ["godunov", "local-lax-friedrichs", "conservative"])
+def test_two_kinks_merge(method):
+    """Against the exact paths, integrated independently until they meet."""
+    positions, amplitudes = [-7.0, -5.0], [0.4, 1.2]
+    paths = oracles.kinks_until_meeting(positions, amplitudes, 8.0)
+    meeting = float(paths.t_events[0][0])
+    place = float(paths.y_events[0][0][0])
+    problem = hj.Problem(hj.rational(), hj.kinks(positions, amplitudes), end=3.0, snapshots=31)
+    grid = hj.Grid(-10.0, 2000)
+    run = (hj.solve_conservative if method == "conservative" else hj.solve_hj)(problem, grid, method)
+    (merge,) = run.events
+    assert (merge.event, merge.kink, merge.into) == ("merge", 2, 1)
+    velocities = (paths.sol(meeting) - paths.sol(meeting - 1e-6)) / 1e-6
+    assert abs(merge.time - meeting) <= 2 * grid.dx / (velocities[0] - velocities[1])
+    assert abs(merge.x - place) <= 4 * grid.dx
+    for k in run.kinks:
+        if k.time < meeting - 0.15:  # before the smeared shocks touch
+            assert abs(k.x - paths.sol(k.time)[k.kink - 1]) <= 1.5 * grid.dx
+    assert [len(run.kinks_at(i)) for i in (0, -1)] == [2, 1]
+
+
+def test_births_come_with_the_grid():
+    """T2's shocks are born at t = 0.8356 and 0.8700; a grid dates them early, by less on a finer grid."""
+    problem = hj.Problem(hj.rational(), hj.bumps([0.8, -0.3], [-5.0, -3.0], [1.0, 0.5]), end=1.2, snapshots=25)
+    off = []
+    for cells in (2000, 8000):
+        run = hj.solve_hj(problem, hj.Grid(-10.0, cells), "godunov")
+        births = sorted(e.x for e in run.events), sorted(e.time for e in run.events)
+        assert [e.event for e in run.events] == ["birth", "birth"]
+        assert np.abs(np.array(births[0]) - [-5.1909, -1.4877]).max() <= 0.05
+        off.append(np.abs(np.array(births[1]) - [0.8356, 0.8700]).max())
+    assert off[1] < 0.8 * off[0] and off[0] < 0.06
+
+
+def test_smooth_slopes_have_no_kinks():
+    problem = hj.Problem(hj.rational(), hj.bumps([0.8, -0.3], [-5.0, -3.0], [1.0, 0.5]), end=0.5, snapshots=6)
+    for solver in (hj.solve_hj, hj.solve_conservative):
+        run = solver(problem, hj.Grid(-10.0, 1000))
+        assert run.kinks == [] and run.events == []
+
+
+@pytest.mark.parametrize("place", [-0.5003, -0.5, -0.49871, -0.02, -0.98])
+@pytest.mark.parametrize("smear", [0, 1, 3])
+def test_a_kink_is_located_inside_its_cell(place, smear):
+    """Straight lines on either side of a jump, smeared conservatively: place and jump come back."""
+    grid = hj.Grid(-1.0, 200)
+    fine = np.linspace(-1.0, 0.0, 200 * 100 + 1)
+    fine = 0.5 * (fine[1:] + fine[:-1])
+    q = np.where(fine < place, 0.2 + 0.3 * (fine - place), 1.0 - 0.5 * (fine - place)).reshape(200, 100).mean(axis=1)
+    for _ in range(smear):
+        padded = np.concatenate([q[:1], q, q[-1:]])
+        q = 0.25 * padded[:-2] + 0.5 * padded[1:-1] + 0.25 * padded[2:]
+    (kink,) = detect_kinks(grid, q, np.ones(201))
+    near_end = place > -0.05 or place < -0.95  # too few cells beside it for a line: flat ends, half a cell off
+    assert abs(kink.x - place) <= (0.5 if near_end else 0.02) * grid.dx
+    assert kink.jump == pytest.approx(0.8, rel=0.05 if near_end else 0.005)
+
+
+def sighting(x, left=0.0, right=1.0):
+    return Sighting(x, left, right, 1.0)
+
+
+def test_numbers_last_for_life():
+    """Two kinks approach and are lost in one another for a while; a third is born; the first two have merged."""
+    frames = []
+    for n in range(60):
+        t = 0.01 * n
+        row = [sighting(-2.0 + t, 0.0, 1.0)] if n < 50 or n > 53 else []
+        if n < 40:
+            row.append(sighting(-1.5, 1.0, 2.0))
+        if n > 20:
+            row.append(sighting(-0.5 + 0.1 * t, 0.0, 0.4))
+        frames.append((t, row))
+    paths = link(frames, 0.01, lambda s: 1.0)
+    assert [p.number for p in paths] == [1, 2, 3]
+    assert paths[0].times[-1] == frames[-1][0]  # found again
+    assert paths[2].born and paths[2].times[0] == frames[21][0]
+    assert paths[1].end is not None and paths[1].end.into == 1
+    assert paths[1].end.time == pytest.approx(0.5, abs=1e-9)  # straight lines: the extrapolation is exact
+
+
+def test_flicker_is_no_kink():
+    frames = [(0.01 * n, [sighting(-1.0)] if n in (30, 31) else []) for n in range(60)]
+    assert link(frames, 0.01, lambda s: 0.1) == []
