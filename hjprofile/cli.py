@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from pathlib import Path
@@ -23,11 +24,21 @@ app = App(
     help="Slow erosion of granular slopes: a nonlocal Hamilton-Jacobi equation and its cross-checks.",
 )
 
-Cells = Annotated[int | None, Parameter(help="Number of grid cells, instead of the case's.")]
+
+def _whole(_: Any, tokens: Any) -> int:
+    """cyclopts would round 60.7 cells to 61."""
+    try:
+        return int(tokens[0].value)
+    except ValueError:
+        raise ValueError(f"{tokens[0].value[:40]!r} is not a whole number") from None
+
+
+Cells = Annotated[int | None, Parameter(converter=_whole, help="Number of grid cells, instead of the case's.")]
 Method = Annotated[str | None, Parameter(help="Solver method, instead of the case's; a wrong name lists them all.")]
 Cfl = Annotated[float | None, Parameter(help="Time step as a part of the largest monotone one.")]
 End = Annotated[float | None, Parameter(help="Mass of grains poured in at which the run ends.")]
 Out = Annotated[Path | None, Parameter(help="Folder for the results; results/<case name> by default.")]
+Into = Annotated[Path | None, Parameter(help="Folder for the files; the result's own by default.")]
 
 
 @app.command
@@ -89,7 +100,7 @@ def check(*case: str, out: Out = None) -> None:
 
 
 @app.command
-def plot(result: Path, /, *, out: Out = None) -> None:
+def plot(result: Path, /, *, out: Into = None) -> None:
     """Draw the pictures of a result folder again, into it or into another folder."""
     from hjprofile.output.plots import pictures
     from hjprofile.output.store import load_run, write_whole
@@ -101,7 +112,7 @@ def plot(result: Path, /, *, out: Out = None) -> None:
 
 
 @app.command
-def export(result: Path, /, *, vtk: bool = False, out: Out = None) -> None:
+def export(result: Path, /, *, vtk: bool = False, out: Into = None) -> None:
     """Write the VTK files of a result folder, into its folder `vtk` or into another.
 
     Parameters
@@ -147,14 +158,15 @@ def _account(run: Run) -> str:
     plural = {"birth": "births", "merge": "merges", "exit": "exits"}
     events = ", ".join(f"{n} {plural[kind] if n != 1 else kind}" for kind, n in count.items())
     bounds = [name for name, b in run.bounds.items() if not b.holds]
-    budget = run.bounds["volume_budget"]
+    mass, budget = run.bounds["mass_budget"], run.bounds["volume_budget"]
     lines = [
         run.title,
         f"  solved      {run.method}, {run.cells} cells, {run.steps} steps in {run.wall_seconds:.2g} s "
         f"to t = {run.time[-1]:g}{poured}",
         f"  eroded      {volume}",
         f"  kinks       {len(run.kinks_at(0))} at first, {len(run.kinks_at(-1))} at last; {events}",
-        f"  budgets     mass to rounding; volume to {run.volume_budget_error:.2g} ({budget.allowance})",
+        f"  budgets     mass {'to rounding' if mass.holds else 'NOT KEPT'}; "
+        f"volume to {run.volume_budget_error:.2g} ({budget.allowance})",
         f"  bounds      {'all hold' if not bounds else 'NOT HELD: ' + ', '.join(bounds)}",
     ]
     if run.account:
@@ -211,22 +223,34 @@ class _Progress:
 def main(arguments: list[str] | None = None) -> NoReturn:
     """Runs a command; 0 done, 1 the run or a check failed, 2 wrong usage or bad input. Never a traceback for these."""
     try:
-        app(arguments, exit_on_error=False, print_error=False)
+        app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+        sys.stdout.flush()
     except (InputError, CycloptsError) as error:
         _leave(f"hjprofile: {error}", 2)
     except RunError as error:
         _leave(f"hjprofile: {error}", 1)
     except MemoryError:
         _leave("hjprofile: the machine's memory is not enough; use fewer cells or snapshots", 1)
+    except BrokenPipeError:  # whoever read stdout has left; nor is there anything to say when Python flushes at exit
+        _drop_stdout()
+        sys.exit(1)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         _leave(f"hjprofile: {where}{error.strerror or error}; nothing was left half-written", 1)
     except KeyboardInterrupt:
-        _leave("hjprofile: interrupted; nothing was written", 1)
+        _leave("hjprofile: interrupted; nothing was left half-written", 1)
     sys.exit(0)
 
 
 def _leave(sentence: str, code: int) -> NoReturn:
-    sys.stdout.flush()
+    try:
+        sys.stdout.flush()
+    except OSError:  # a full disk: the sentence below says so, or says what matters more
+        _drop_stdout()
     print(" ".join(sentence.split()), file=sys.stderr)
     sys.exit(code)
+
+
+def _drop_stdout() -> None:
+    """Lets go of what stdout still holds and cannot write, which Python would try again at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

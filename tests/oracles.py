@@ -52,7 +52,7 @@ def kinks_until_meeting(positions, amplitudes, end):
     """
     J = []  # I - 1 in each piece: q + W
     W, before = 0.0, None
-    for j, (s, a) in enumerate(zip(positions, amplitudes, strict=True)):
+    for s, a in zip(positions, amplitudes, strict=True):
         if before is not None:
             s0, a0 = before
             W += a0 * (1 - np.exp(-(s - s0)))

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
+import textwrap
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, TwoSlopeNorm
@@ -41,8 +43,17 @@ def _axes_units(run: Run) -> tuple[Array, Array, str, str]:
     return run.x, run.u, "x (in exchange lengths; the top is at 0)", "height u"
 
 
-def _subtitle(run: Run) -> str:
-    return f"{run.method}, {run.cells} cells" + ("" if run.done else f"\n{run.status}")
+def _titles(axes: Axes, run: Run) -> None:
+    """The title and the method; below them, where a run stopped early, why."""
+    reason = [] if run.done else textwrap.wrap(run.status, 110)
+    axes.set_title(run.title + "\n" * len(reason), loc="left", fontweight="bold")
+    axes.set_title("\n".join([f"{run.method}, {run.cells} cells", *reason]), loc="right", fontsize=8, color="0.35")
+
+
+def _span(run: Run) -> tuple[float, float]:
+    """First and last time on an axis; a single time gets some room."""
+    first, last = float(run.time[0]), float(run.time[-1])
+    return (first, last) if last > first else (first - 0.5, first + 0.5)
 
 
 def draw_profiles(run: Run) -> Figure:
@@ -51,7 +62,7 @@ def draw_profiles(run: Run) -> Figure:
     figure = _figure(8.0, 8.4)
     top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
     shown = np.unique(np.linspace(0, run.time.size - 1, LINES).round().astype(int))
-    norm = Normalize(run.time[0], max(run.time[-1], run.time[0] + 1e-12))
+    norm = Normalize(*_span(run))
     colours = colormaps["viridis"].resampled(256)
     centres = 0.5 * (x[1:] + x[:-1])
     for i in shown:
@@ -72,8 +83,7 @@ def draw_profiles(run: Run) -> Figure:
     top.plot([], [], "o", ms=4, mfc="white", mec="k", label="kink")
     if run.kinks:
         top.legend(loc="upper left", fontsize=8, frameon=False)
-    top.set_title(run.title, loc="left", fontweight="bold")
-    top.set_title(_subtitle(run), loc="right", fontsize=8, color="0.35")
+    _titles(top, run)
     top.set_ylabel(u_label)
     middle.set_ylabel("change of height")
     bottom.set_ylabel("excess slope q = $u_x$ - 1")
@@ -84,6 +94,8 @@ def draw_profiles(run: Run) -> Figure:
         ScalarMappable(norm, colours.resampled(256)), ax=[top, middle, bottom], aspect=45, pad=0.01, fraction=0.03
     )
     bar.set_label("t: mass of grains poured in")
+    if run.time.size == 1:
+        bar.set_ticks([float(run.time[0])])
     return figure
 
 
@@ -93,19 +105,23 @@ def draw_diagram(run: Run) -> Figure:
     figure = _figure(8.0, 5.2)
     axes = figure.subplots()
     low, high = float(run.q.min()), float(run.q.max())
-    span = max(-low, high, 1e-12)
+    span = max(-low, high)
+    if span < 1e-9:  # a critical slope: rounding must not be drawn as if it were relief
+        span = 1.0
     # one colour scale about q = 0 in which neither side drowns the other
     norm = TwoSlopeNorm(0.0, min(low, -0.05 * span), max(high, 0.05 * span))
-    if run.time.size > 1:
-        edges = np.concatenate([run.time[:1], 0.5 * (run.time[1:] + run.time[:-1]), run.time[-1:]])
-        sheet = axes.pcolormesh(x, edges, run.q, cmap="RdBu_r", norm=norm, rasterized=True)
-        figure.colorbar(sheet, ax=axes, pad=0.01, label="excess slope q  (below 0: grains settle)")
+    first, last = _span(run)
+    edges = np.concatenate([[first], 0.5 * (run.time[1:] + run.time[:-1]), [last]])
+    sheet = axes.pcolormesh(x, edges, run.q, cmap="RdBu_r", norm=norm, rasterized=True)
+    figure.colorbar(sheet, ax=axes, pad=0.01, label="excess slope q  (below 0: grains settle)")
+    if run.time.size == 1:
+        axes.set_yticks([float(run.time[0])])
     scale = run.units.x if run.units else np.asarray
     for number in sorted({k.kink for k in run.kinks}):
         path = [(k.time, k.x) for k in run.kinks if k.kink == number]
         path += [(e.time, e.x) for e in run.events if e.kink == number]
         t, at = np.array(sorted(path)).T
-        axes.plot(scale(at), t, color="k", lw=1.0)
+        axes.plot(scale(at), t, color="k", lw=1.0, marker="." if at.size == 1 else None)
     for kind, marker in (("birth", "o"), ("merge", "^"), ("exit", "s")):
         marks = [e for e in run.events if e.event == kind]
         if marks:
@@ -116,10 +132,9 @@ def draw_diagram(run: Run) -> Figure:
     if run.kinks:
         axes.plot([], [], color="k", lw=1.0, label="kink")
         axes.legend(loc="upper left", fontsize=8, framealpha=0.9)
-    axes.set_title(run.title, loc="left", fontweight="bold")
-    axes.set_title(_subtitle(run), loc="right", fontsize=8, color="0.35")
+    _titles(axes, run)
     axes.set_xlabel(x_label)
     axes.set_ylabel("t: mass of grains poured in")
     axes.set_xlim(x[0], x[-1])
-    axes.set_ylim(run.time[0], max(run.time[-1], run.time[0] + 1e-12))
+    axes.set_ylim(first, last)
     return figure

@@ -18,7 +18,7 @@ import tomli_w
 import hjprofile
 from hjprofile.errors import InputError
 from hjprofile.problem.profiles import Units
-from hjprofile.solvers.run import Event, KinkRecord, Run
+from hjprofile.solvers.run import Event, KinkRecord, Run, Verdict
 
 VTK_FOLDER = "vtk"
 _UNITS = ("length", "critical_slope", "x_top", "height_top")
@@ -45,8 +45,10 @@ def write_whole(path: Path, data: bytes | str) -> None:
             os.fsync(stream.fileno())
         os.chmod(beside, 0o644)
         os.replace(beside, path)
-    except BaseException:
+    except BaseException as error:
         Path(beside).unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            error.filename = str(path)  # a full disk does not say where
         raise
 
 
@@ -91,8 +93,9 @@ def netcdf(run: Run) -> bytes:
     buffer = io.BytesIO()
     file = netcdf_file(buffer, "w", version=2)
     file.Conventions = "CF-1.8"
-    file.title, file.method, file.status = run.title or " ", run.method, run.status
-    file.case = tomli_w.dumps(dict(run.case))
+    text = {"title": run.title or " ", "method": run.method, "status": run.status}
+    for name, value in (text | {"case": tomli_w.dumps(dict(run.case))}).items():
+        setattr(file, name, value.encode())  # scipy takes a str for ASCII
     file.hjprofile_version = hjprofile.__version__
     if run.units:
         for name in _UNITS:
@@ -177,7 +180,7 @@ def load_run(folder: str | Path) -> Run:
     try:
         with netcdf_file(folder / "profile.nc", "r", mmap=False) as file:
             arrays = {name: np.array(file.variables[name][:], dtype=float) for name in _VARIABLES}
-            text = {n: getattr(file, n).decode() for n in ("title", "method", "case", "status")}
+            text = {n: getattr(file, n).decode() for n in ("method", "case", "status")}
             units = Units(*(float(getattr(file, n)) for n in _UNITS)) if hasattr(file, _UNITS[0]) else None
         kinks = [
             KinkRecord(**{n: int(v) if n == "kink" else float(v) for n, v in row.items()})  # type: ignore[arg-type]
@@ -188,16 +191,27 @@ def load_run(folder: str | Path) -> Run:
             for r in _read(folder, "events.csv")
         ]
         content = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+        return Run(
+            title=content["title"], method=text["method"], case=tomllib.loads(text["case"]), **arrays,  # type: ignore[arg-type]
+            status=text["status"], steps=content["steps"], wall_seconds=content["wall_seconds"],
+            step_range=(_number(content["time_step"]["least"]), _number(content["time_step"]["largest"])),
+            kinks=kinks, events=events, eroded_volume=_number(content["eroded_volume"]), units=units,
+            bounds={
+                name: Verdict(b["holds"], _number(b["worst_margin"]), _number(b["time"]), b["allowance"])
+                for name, b in content["bounds"].items()
+            },
+            volume_budget_error=_number((content["volume_budget"] or {}).get("difference")),
+            account=content.get("account", ""),
+        )  # fmt: skip
     except FileNotFoundError as error:
         raise InputError(f"{folder} is not a complete result folder: {Path(error.filename).name} is missing") from None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
         raise InputError(f"{folder} is not a readable result folder: {type(error).__name__}: {error}") from None
-    return Run(
-        title=text["title"].strip(), method=text["method"], case=tomllib.loads(text["case"]), **arrays,  # type: ignore[arg-type]
-        status=text["status"], steps=content["steps"], wall_seconds=content["wall_seconds"],
-        kinks=kinks, events=events, eroded_volume=content["eroded_volume"], units=units,
-        account=content.get("account", ""),
-    )  # fmt: skip
+
+
+def _number(value: float | None) -> float:
+    """JSON has no NaN: `to_json` writes null for it."""
+    return float("nan") if value is None else float(value)
 
 
 def _read(folder: Path, name: str) -> list[dict[str, str]]:

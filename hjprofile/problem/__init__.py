@@ -36,6 +36,8 @@ class Problem:
         if isinstance(self.snapshots, (int, np.integer)):
             if self.snapshots < 1 or isinstance(self.snapshots, bool):
                 raise InputError(f"snapshots = {self.snapshots} must be 1 or more, or a list of times")
+            if 0 < self.end < min(self.snapshots, 10**9) * np.finfo(float).tiny:
+                raise InputError(f"end = {self.end} is too small for {self.snapshots} snapshots")
             return
         times = np.asarray(self.snapshots, dtype=float)
         if times.ndim != 1 or times.size == 0 or not np.all(np.isfinite(times)):
@@ -47,6 +49,13 @@ class Problem:
             raise InputError(f"snapshots holds {outside[0]:g}; times must lie between 0 and end = {self.end:g}")
 
     @property
+    def kept(self) -> int:
+        """How many times are kept."""
+        if not isinstance(self.snapshots, (int, np.integer)):
+            return len(self.snapshots)
+        return int(self.snapshots) if self.end else 1
+
+    @property
     def times(self) -> np.ndarray:
         """The times that are kept, increasing."""
         if not isinstance(self.snapshots, (int, np.integer)):
@@ -55,7 +64,8 @@ class Problem:
             return np.zeros(1)
         return np.linspace(0.0, self.end, self.snapshots) if self.snapshots > 1 else np.array([float(self.end)])
 
+    @np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks refuse
     def check(self, grid: Grid) -> None:
         """Raises InputError if the problem cannot be solved on this grid."""
-        grid.check_memory(self.times.size)
+        grid.check_memory(self.kept)
         self.profile.check(grid, self.law)

@@ -183,10 +183,10 @@ def load_case(path: str | Path, overrides: Mapping[str, Any] | None = None) -> C
     path = find_case(path)
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from None
+    except (ValueError, RecursionError) as error:  # beside bad syntax: integers of thousands of digits, deep nesting
+        raise InputError(f"{path}: not valid TOML: {error}") from None
     for dotted, value in (overrides or {}).items():
         section, key = dotted.split(".")
         if isinstance(content.setdefault(section, {}), dict):
@@ -194,6 +194,7 @@ def load_case(path: str | Path, overrides: Mapping[str, Any] | None = None) -> C
     return parse_case(content, name=path.stem, source=str(path), base=path.parent)
 
 
+@np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks refuse
 def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -> Case:
     """A case from parsed TOML; paths in it are relative to `base`."""
     top = _Section(source, "", content)
@@ -220,7 +221,7 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
         section = time
         problem = Problem(law, profile, title=title, **time_values)
         section = domain
-        grid.check_memory(problem.times.size)
+        grid.check_memory(problem.kept)
         section = sections["profile"]
         profile.check(grid, law)
     except InputError as error:
@@ -256,8 +257,11 @@ def shipped_cases() -> dict[str, Path]:
 def find_case(case: str | Path) -> Path:
     """The file of a case given by its path or by the name of a shipped one."""
     path = Path(case)
-    if path.is_file():
-        return path
+    try:
+        if path.is_file():
+            return path
+    except OSError as error:  # a name too long, a folder that may not be entered
+        raise InputError(f"{case}: cannot be read: {error.strerror}") from None
     shipped = shipped_cases()
     if str(case) in shipped:
         return shipped[str(case)]

@@ -148,12 +148,12 @@ def log() -> ErosionLaw:
 
 def power(m: float) -> ErosionLaw:
     """f = (1 - (1+q)^-m)/m with m > 0; m = 1 is the rational law, m -> 0 the logarithm."""
-    if not (np.isfinite(m) and m > 0):
-        raise InputError(f"m = {m} must be a positive number")
+    if not 1e-100 <= m <= 100.0:  # beyond, f is lost in underflow or overflow at ordinary slopes
+        raise InputError(f"m = {m} must be a positive number, at most 100 (and not below 1e-100: use the law 'log')")
 
     def inverse(y):
-        base = 1.0 - m * np.asarray(y)
-        return np.where(base > 0, np.expm1(-np.log(np.where(base > 0, base, 1.0)) / m), np.nan)
+        less = -m * np.asarray(y)  # (1+q)^-m - 1
+        return np.where(less > -1, np.expm1(-np.log1p(np.where(less > -1, less, 0.0)) / m), np.nan)
 
     return ErosionLaw(
         f=lambda q: -np.expm1(-m * np.log1p(q)) / m,
@@ -188,8 +188,8 @@ def expression(text: str) -> ErosionLaw:
         raise InputError(f"expression is {len(text)} characters long; at most 1000 are allowed")
     try:
         tree = ast.parse(text.strip(), mode="eval")
+        called = {id(n.func) for n in ast.walk(tree) if isinstance(n, ast.Call)}
         for node in ast.walk(tree):
-            called = {id(n.func) for n in ast.walk(tree) if isinstance(n, ast.Call)}
             fine = isinstance(node, _NODES)
             if isinstance(node, ast.Constant):
                 fine = isinstance(node.value, (int, float)) and not isinstance(node.value, bool)
@@ -211,10 +211,10 @@ def expression(text: str) -> ErosionLaw:
     def f(q):
         with np.errstate(all="ignore"):
             try:
-                value = eval(code, {"__builtins__": {}, **_FUNCTIONS, "q": q})
+                value = eval(code, {"__builtins__": {}, **_FUNCTIONS, "q": np.asarray(q, dtype=float)})
             except (ArithmeticError, RecursionError):  # among constants: 1/0, 9.0**9.0**9.0
                 value = np.nan
-            return value + 0.0 * q
+            return np.nan * q if np.iscomplexobj(value) else value + 0.0 * q  # complex: (-1)**0.5
 
     return erosion_law(f, table={"law": "expression", "expression": text.strip()})
 
@@ -246,7 +246,11 @@ def from_file(path: Path, function: str, file: str | None = None) -> ErosionLaw:
 
 def load_function(path: Path, function: str) -> Function:
     """The function of that name in a Python file. Running the file runs its author's code."""
-    if not path.is_file():
+    try:
+        there = path.is_file()
+    except OSError as error:  # a name too long, a folder that may not be entered
+        raise InputError(f"file = {str(path)!r} cannot be read: {error.strerror}") from None
+    if not there:
         raise InputError(f"file = {str(path)!r} does not exist")
     spec = importlib.util.spec_from_file_location(f"hjprofile_user_{path.stem}", path)
     if spec is None or spec.loader is None:
@@ -254,7 +258,7 @@ def load_function(path: Path, function: str) -> Function:
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise InputError(f"file = {str(path)!r} could not be run: {type(error).__name__}: {error}") from error
     f = getattr(module, function, None)
     if not callable(f):

@@ -99,9 +99,13 @@ class Profile:
         """u - x at x (any shape)."""
         raise NotImplementedError
 
-    def start(self) -> float:
-        """The leftmost point at which q may differ from 0 by more than TAIL."""
+    def start(self, tail: float = TAIL) -> float:
+        """The leftmost point at which q may differ from 0 by more than `tail`."""
         raise NotImplementedError
+
+    def breaks(self, law: ErosionLaw) -> Array:
+        """Where q jumps or has a corner: rows (x, q on the left, q on the right), from left to right."""
+        return np.empty((0, 3))
 
     def q_means(self, grid: Grid, law: ErosionLaw) -> Array:
         """Exact cell means of q, shape (cells,)."""
@@ -119,11 +123,11 @@ class Profile:
 
     @staticmethod
     def _check_rising(q: Array, grid: Grid) -> None:
-        if not np.all(q > -1.0):
+        if not np.all((q > -1.0) & (q < np.inf)):
             i = int(np.argmin(np.where(np.isfinite(q), q, -np.inf)))
             raise InputError(
                 f"the profile does not rise near x = {grid.centres[i]:.6g}, where q = {q[i]:.6g}; "
-                "q must be above -1 everywhere (u_x = 1 + q > 0)"
+                "q must be finite and above -1 everywhere (u_x = 1 + q > 0)"
             )
 
 
@@ -148,12 +152,17 @@ class Kinks(Profile):
     def table(self) -> Mapping[str, Any]:
         return {"kind": "kinks", "positions": self.positions.tolist(), "amplitudes": self.amplitudes.tolist()}
 
-    def start(self) -> float:
+    def start(self, tail: float = TAIL) -> float:
         return float(self.positions[0])
 
     def check(self, grid: Grid, law: ErosionLaw) -> None:
         self._pieces(law)
         super().check(grid, law)
+
+    def breaks(self, law: ErosionLaw) -> Array:
+        gaps = np.diff(self.positions)
+        met = [float(law.decay(a, gap)) for a, gap in zip(self.amplitudes[:-1], gaps, strict=True)]
+        return np.column_stack([self.positions, [0.0, *met], self.amplitudes])
 
     def _pieces(self, law: ErosionLaw) -> list[float]:
         """W at each position."""
@@ -212,14 +221,15 @@ class Bumps(Profile):
         z = (x[:, None] - self.centres) / self.widths
         return np.exp(-(z**2)) @ self.amplitudes
 
-    def start(self) -> float:
-        reach = np.sqrt(np.log(np.maximum(np.abs(self.amplitudes) / TAIL, 1.0)))
+    def start(self, tail: float = TAIL) -> float:
+        reach = np.sqrt(np.log(np.maximum(np.abs(self.amplitudes) / tail, 1.0)))
         return float(np.min(self.centres - self.widths * reach))
 
     def W(self, x: Array, law: ErosionLaw) -> Array:
         from scipy.special import erfc
 
-        z = (x[..., None] - self.centres) / self.widths
+        with np.errstate(over="ignore"):  # far from a narrow bump
+            z = (x[..., None] - self.centres) / self.widths
         return erfc(-z) @ (0.5 * np.sqrt(np.pi) * self.amplitudes * self.widths)
 
 
@@ -251,18 +261,25 @@ class Points(Profile):
     def table(self) -> Mapping[str, Any]:
         return self.source or {"kind": "points", "x": self.x.tolist(), "q": self.q.tolist()}
 
-    def start(self) -> float:
+    def start(self, tail: float = TAIL) -> float:
         return float(self.x[0])
+
+    def breaks(self, law: ErosionLaw) -> Array:
+        x = np.unique(self.x)
+        left = self.q[np.searchsorted(self.x, x, side="left")]
+        right = self.q[np.searchsorted(self.x, x, side="right") - 1]
+        left[0] = right[-1] = 0.0
+        return np.column_stack([x, left, right])
 
     def W(self, x: Array, law: ErosionLaw) -> Array:
         h = np.diff(self.x)
         mass = np.concatenate([[0.0], np.cumsum(0.5 * h * (self.q[1:] + self.q[:-1]))])
         inside = np.clip(x, self.x[0], self.x[-1])
         j = np.clip(np.searchsorted(self.x, inside, side="right") - 1, 0, h.size - 1)
+        s, h = np.minimum(inside - self.x[j], h[j]), h[j]
         # a piece of no length (a jump at the last point) is never read beyond its start
-        slope = np.divide(np.diff(self.q), h, out=np.zeros_like(h), where=h > 0)
-        s = np.minimum(inside - self.x[j], h[j])
-        return self.height + mass[j] + s * (self.q[j] + 0.5 * slope[j] * s)
+        part = np.divide(s, h, out=np.zeros_like(s), where=h > 0)
+        return self.height + mass[j] + s * (self.q[j] + 0.5 * part * np.diff(self.q)[j])
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,8 +307,13 @@ class Steady(Profile):
     def inflow(self) -> float:
         return self.flux if self.kink is None else 0.0
 
-    def start(self) -> float:
+    def start(self, tail: float = TAIL) -> float:
         return -np.inf if self.kink is None else float(self.kink)
+
+    def breaks(self, law: ErosionLaw) -> Array:
+        if self.kink is None:
+            return np.empty((0, 3))
+        return np.array([[self.kink, 0.0, float(self.q(np.array(self.kink), law))]])
 
     def q(self, x: Array, law: ErosionLaw) -> Array:
         """The steady slope itself, whether or not a kink cuts it off."""
@@ -299,12 +321,16 @@ class Steady(Profile):
 
     def check(self, grid: Grid, law: ErosionLaw) -> None:
         try:
-            law.inverse(np.array(self.flux))
+            top = law.inverse(np.array(self.flux))
+            # within rounding of its supremum f no longer tells slopes apart
+            reached = top < 1.0 or law.f(0.5 * top) < (1 - 1e-12) * self.flux
         except ValueError:
+            reached = False
+        if not reached:
             raise InputError(
                 f"flux = {self.flux:g} is more than the law {law.name!r} erodes at any slope; "
                 "it must be below the supremum of f"
-            ) from None
+            )
         super().check(grid, law)
 
     def W(self, x: Array, law: ErosionLaw) -> Array:
@@ -329,7 +355,7 @@ class Given(Profile):
     def table(self) -> Mapping[str, Any]:
         return self.source or {"kind": "python", "file": "", "function": getattr(self.u, "__name__", "u")}
 
-    def start(self) -> float:
+    def start(self, tail: float = TAIL) -> float:
         return np.nan  # not known; `check` looks at the first cell
 
     def check(self, grid: Grid, law: ErosionLaw) -> None:
@@ -349,6 +375,7 @@ class Given(Profile):
             )
         self._check_rising(q, grid)
 
+    @np.errstate(all="ignore")  # in branches that the function does not use; `check` looks at the values
     def W(self, x: Array, law: ErosionLaw) -> Array:
         try:
             u = np.asarray(self.u(x), dtype=float)
@@ -432,7 +459,7 @@ def survey(
         repaired = isotonic_regression(height - tilt).x + tilt
         moved = np.abs(repaired - height)
         account = (
-            f"survey repaired: {np.count_nonzero(moved > 1e-9 * np.ptp(height))} of {x.size} points moved, "
+            f"survey repaired: {np.count_nonzero(moved > 1e-9 * (np.ptp(height) - tilt[0]))} of {x.size} points moved, "
             f"by {moved.max():.3g} at most and {np.sqrt(np.mean(moved**2)):.3g} on average (r.m.s.)"
         )
         height = repaired
@@ -443,6 +470,11 @@ def survey(
     xi = (x - x[-1]) / length
     u = (height - height[-1]) / (length * critical_slope)
     q = np.diff(u) / np.diff(xi) - 1.0
+    if not np.all(np.isfinite(q) & (q > -1.0)):
+        raise InputError(
+            f"file = {str(file)!r} divided by length = {length:g} and critical_slope = {critical_slope:g} leaves the "
+            "range of numbers"
+        )
     return Points(
         np.repeat(xi, 2)[1:-1], np.repeat(q, 2), source=table, units=units, height=float(u[0] - xi[0]), account=account
     )
@@ -455,7 +487,7 @@ def _read_survey(path: Path) -> tuple[Array, Array, list[int]]:
             lines = [(n, row) for n, row in enumerate(csv.reader(stream), start=1) if row and row[0].strip()[:1] != "#"]
     except FileNotFoundError:
         raise InputError(f"file = {str(path)!r} does not exist") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except (OSError, ValueError, csv.Error) as error:  # ValueError: bytes that are not UTF-8, a NUL in the name
         raise InputError(f"file = {str(path)!r} cannot be read as CSV: {error}") from None
     if not lines or [c.strip() for c in lines[0][1]] != ["x", "height"]:
         found = ",".join(lines[0][1]) if lines else "nothing"

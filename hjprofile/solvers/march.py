@@ -136,9 +136,8 @@ def march(
         speed = scheme.evaluate()
     except _StepTooSmall:
         status = _small_step_sentence(scheme, problem, grid, t, dt, speed)
-    if status != "done":
-        if not saved or saved[-1][0] < t:
-            save()
+    if status != "done" and (not saved or saved[-1][0] < t):
+        save()
     times, W, q, K = (np.array(column) for column in zip(*saved, strict=True))
     return Recording(times, W, q, K, status, steps, (float(shortest), float(longest)), seconds)
 
@@ -146,8 +145,8 @@ def march(
 def _small_step_sentence(scheme: Scheme, problem: Problem, grid: Grid, t: float, dt: float, speed: float) -> str:
     fastest = int(np.argmax(np.maximum(scheme.K[1:], scheme.K[:-1]) * problem.law.derivative(scheme.q)))
     return (
-        f"stopped at t = {t:.6g}: the time step {dt:.3g} fell below {STEP_FLOOR:g} of the run, since K f' = {speed:.3g} "
-        f"at x = {grid.centres[fastest]:.6g} (K = {scheme.K[fastest]:.3g}, q = {scheme.q[fastest]:.6g}); "
+        f"stopped at t = {t:.6g}: the time step {dt:.3g} fell below {STEP_FLOOR:g} of the run, since K f' = "
+        f"{speed:.3g} at x = {grid.centres[fastest]:.6g} (K = {scheme.K[fastest]:.3g}, q = {scheme.q[fastest]:.6g}); "
         "use fewer cells or an earlier end"
     )
 

@@ -1,0 +1,247 @@
+"""Case files that must be refused, each with the words its message must hold; shared by the tests of both edges."""
+
+import copy
+import datetime
+import math
+
+REMOVED = object()
+
+VALID = {
+    "title": "Two kinks",
+    "erosion": {"law": "rational"},
+    "profile": {"kind": "kinks", "positions": [-3.0, -2.0], "amplitudes": [0.4, 1.2]},
+    "domain": {"left": -6.0, "cells": 60},
+    "time": {"end": 1.0, "snapshots": 3},
+    "solver": {"method": "godunov", "cfl": 0.9},
+    "output": {"vtk": False, "plots": False},
+}
+LAWS = {
+    "rational": {},
+    "log": {},
+    "power": {"m": 2.0},
+    "expression": {"expression": "sqrt(1+q) - 1/sqrt(1+q)"},
+    "python": {"file": "user.py", "function": "f"},
+}
+PROFILES = {
+    "kinks": {"positions": [-3.0, -2.0], "amplitudes": [0.4, 1.2]},
+    "bumps": {"amplitudes": [0.5], "centres": [-3.0], "widths": [0.5]},
+    "steps": {"edges": [-3.0, -2.0, -1.0], "values": [0.5, -0.25]},
+    "points": {"x": [-3.0, -2.0, -2.0, -1.0], "q": [0.0, 0.5, -0.25, 1.0]},
+    "steady": {"flux": 0.3, "kink": -2.0},
+    "survey": {"file": "survey.csv", "critical_slope": 0.5, "length": 2.0, "repair": "isotonic"},
+    "python": {"file": "user.py", "function": "u"},
+}
+FILES = {  # what the tables above name
+    "user.py": "import math\n\n\ndef f(q):\n    return math.log(1 + q)\n\n\n"
+    "def u(x):\n    return x + 0.5 * math.erfc(-2 * (x + 3))\n",
+    "survey.csv": "x,height\n0,0\n1,0.25\n2,0.2\n4,3\n",
+}
+
+
+def changed(changes):
+    """VALID with other values at dotted keys; a whole section may be replaced."""
+    content = copy.deepcopy(VALID)
+    for dotted, value in changes.items():
+        *sections, key = dotted.split(".")
+        table = content
+        for section in sections:
+            table = table[section]
+        if value is REMOVED:
+            del table[key]
+        else:
+            table[key] = copy.deepcopy(value)
+    return content
+
+
+def with_files(folder):
+    """The folder, with the files that LAWS and PROFILES name."""
+    for name, text in FILES.items():
+        (folder / name).write_text(text)
+    return folder
+
+
+NUMBER, WHOLE, TEXT, LIST, SWITCH = (
+    "a finite number",
+    "a whole number",
+    "a string",
+    "a list of finite numbers",
+    "true or",
+)
+POSITIVE = "a positive number"
+NOT = {
+    NUMBER: ["1", True, [1.0], {}, math.nan, math.inf, -math.inf, datetime.date(2024, 5, 1)],
+    POSITIVE: ["1", True, [1.0], {}, math.nan, math.inf, 0.0, 0, -1.0],
+    WHOLE: ["1", True, [1], {}, 3.0, math.nan],
+    TEXT: [1, True, ["a"], {}],
+    LIST: [1.0, "1", {}, ["1"], [[1.0]], [True], [math.nan], [0.0, math.inf]],
+    SWITCH: [1, "true", [], {}],
+}
+KEYS = [  # (section, its table, key, what it must be, whether it may be left out)
+    ("erosion", VALID["erosion"], "law", TEXT, False),
+    ("profile", VALID["profile"], "kind", TEXT, False),
+    ("domain", VALID["domain"], "left", NUMBER, False),
+    ("domain", VALID["domain"], "cells", WHOLE, False),
+    ("time", VALID["time"], "end", NUMBER, False),
+    ("solver", VALID["solver"], "method", TEXT, True),
+    ("solver", VALID["solver"], "cfl", POSITIVE, True),
+    ("output", VALID["output"], "vtk", SWITCH, True),
+    ("output", VALID["output"], "plots", SWITCH, True),
+    ("erosion", {"law": "power", "m": 2.0}, "m", POSITIVE, False),
+    ("erosion", {"law": "expression"} | LAWS["expression"], "expression", TEXT, False),
+    ("erosion", {"law": "python"} | LAWS["python"], "file", TEXT, False),
+    ("erosion", {"law": "python"} | LAWS["python"], "function", TEXT, False),
+]
+for _kind, _table in PROFILES.items():
+    for _key, _value in _table.items():
+        _what = LIST if isinstance(_value, list) else TEXT if isinstance(_value, str) else NUMBER
+        _what = POSITIVE if _key in ("critical_slope", "length") else _what
+        KEYS.append(("profile", {"kind": _kind} | _table, _key, _what, _key in ("kink", "repair")))
+
+# id -> (changes to VALID, the section the message must name, the words it must hold)
+BAD = {}
+for _section, _table, _key, _what, _optional in KEYS:
+    _name = f"{_section}.{_table.get('law', _table.get('kind', ''))}.{_key}".replace("..", ".")
+    if not _optional:
+        _rest = {k: v for k, v in _table.items() if k != _key}
+        BAD[f"{_name} missing"] = ({_section: _rest}, _section, [f"{_key} is missing; it must be {_what}"])
+    for _value in NOT[_what]:
+        _words = [f"{_key} = {_value!r} must be {_what}"]
+        BAD[f"{_name} = {_value!r}"] = ({_section: _table | {_key: _value}}, _section, _words)
+    _wrong = {_section: _table | {f"{_key}s": 1}}
+    BAD[f"{_name}s"] = (_wrong, _section, [f"{_key}s is not a known key; did you mean {_key!r}?", "(allowed: "])
+for _section in ("erosion", "profile", "domain", "time", "solver", "output", "expect"):
+    for _value in (3, "text", [1], True):
+        BAD[f"{_section} = {_value!r}"] = ({_section: _value}, "", [f"{_section} = {_value!r} must be a table"])
+for _section, _first in (("erosion", "law"), ("profile", "kind"), ("domain", "left"), ("time", "end")):
+    BAD[f"no {_section}"] = ({_section: REMOVED}, _section, [f"{_first} is missing"])
+BAD |= {
+    "title": ({"title": 3}, "", ["title = 3 must be a string"]),
+    "unknown section": (
+        {"erosoin": {}},
+        "",
+        ["erosoin is not a known key; did you mean 'erosion'?", "(allowed: title,"],
+    ),
+    "unknown top key": ({"zzz": 1}, "", ["zzz is not a known key (allowed: title, erosion, profile,"]),
+    "unknown law": (
+        {"erosion.law": "linear"},
+        "erosion",
+        ["law = 'linear' is not known; allowed are 'rational', 'log'"],
+    ),
+    "unknown kind": (
+        {"profile.kind": "hills"},
+        "profile",
+        ["kind = 'hills' is not known; allowed are 'kinks', 'bumps'"],
+    ),
+    "key of another law": ({"erosion.m": 2.0}, "erosion", ["m is not a known key (allowed: law)"]),
+    "key of another kind": ({"profile.flux": 0.3}, "profile", ["flux is not a known key", "amplitudes"]),
+    "left = 0": ({"domain.left": 0}, "domain", ["left = 0.0 must be a negative number"]),
+    "left > 0": ({"domain.left": 2.5}, "domain", ["left = 2.5 must be a negative number: the top of the slope"]),
+    "no cells": ({"domain.cells": 0}, "domain", ["cells = 0 must be a whole number, 4 or more"]),
+    "negative cells": ({"domain.cells": -5}, "domain", ["cells = -5 must be a whole number, 4 or more"]),
+    "too many cells": ({"domain.cells": 10**15}, "domain", [f"cells = {10**15} with 3 snapshots needs", "cells fit"]),
+    "far too many cells": ({"domain.cells": 10**400}, "domain", ["cells = 1000", "GiB of memory", "cells fit"]),
+    "end < 0": ({"time.end": -1.0}, "time", ["end = -1.0 must be a number, 0 or more"]),
+    "end too small": ({"time.end": 1e-310}, "time", ["end = 1e-310 is too small for 3 snapshots"]),
+    "no snapshots": ({"time.snapshots": 0}, "time", ["snapshots = 0 must be 1 or more, or a list of times"]),
+    "negative snapshots": ({"time.snapshots": -1}, "time", ["snapshots = -1 must be 1 or more"]),
+    "empty snapshots": ({"time.snapshots": []}, "time", ["snapshots = [] must be a count or a list of times"]),
+    "snapshots past end": ({"time.snapshots": [0.0, 1.5]}, "time", ["snapshots holds 1.5", "between 0 and end = 1"]),
+    "snapshots before 0": ({"time.snapshots": [-0.5, 1.0]}, "time", ["snapshots holds -0.5", "between 0 and end = 1"]),
+    "unsorted snapshots": ({"time.snapshots": [0.5, 0.25]}, "time", ["snapshots = [0.5, 0.25] must increase"]),
+    "repeated snapshots": ({"time.snapshots": [0.5, 0.5]}, "time", ["snapshots = [0.5, 0.5] must increase"]),
+    "too many snapshots": ({"time.snapshots": 10**15}, "domain", [f"with {10**15} snapshots", "keep fewer snapshots"]),
+    "far too many snapshots": ({"time.snapshots": 10**400}, "domain", ["snapshots needs", "keep fewer snapshots"]),
+    "past the domain": (
+        {"domain.left": -2.5},
+        "profile",
+        ["reaches left to x = -3", "left = -2.5", "must be at most -3"],
+    ),
+    "falling kinks": ({"profile.amplitudes": [0.4, 0.1]}, "profile", ["amplitudes[1] = 0.1 must exceed the q = 0.14"]),
+    "lengths differ": ({"profile.amplitudes": [0.4]}, "profile", ["amplitudes has 1 entries and positions has 2"]),
+    "past the top": ({"profile.positions": [-3.0, 1.0]}, "profile", ["positions[1] = 1 lies past the top"]),
+    "too large m": (
+        {"erosion": {"law": "power", "m": 1e308}},
+        "erosion",
+        ["m = 1e+308 must be a positive number, at most"],
+    ),
+    "overflow": (
+        {"erosion": {"law": "power", "m": 2.0}, "profile.amplitudes": [0.4, 1e308]},
+        "profile",
+        ["q must be finite"],
+    ),
+    "inadmissible": (
+        {"erosion": {"law": "expression", "expression": "q"}},
+        "erosion",
+        ["not an erosion function", "at q ="],
+    ),
+    "attack": (
+        {"erosion": {"law": "expression", "expression": "__import__('os').system('touch pwned')"}},
+        "erosion",
+        ["expression = ", "__import__", "allowed are numbers, q, + - * / **"],
+    ),
+    "huge power": ({"erosion": {"law": "expression", "expression": "9**9**9**9*q"}}, "erosion", ["f = nan"]),
+    "law without file": (
+        {"erosion": {"law": "python", "file": "absent.py", "function": "f"}},
+        "erosion",
+        ["file = '", "absent.py' does not exist"],
+    ),
+    "law without function": (
+        {"erosion": {"law": "python", "file": "user.py", "function": "g"}},
+        "erosion",
+        ["function = 'g' is not defined in user.py"],
+    ),
+    "profile without function": (
+        {"profile": {"kind": "python", "file": "user.py", "function": "g"}},
+        "profile",
+        ["function = 'g' is not defined in user.py"],
+    ),
+    "no profile of slopes": (
+        {"profile": {"kind": "python", "file": "user.py", "function": "f"}},
+        "profile",
+        ["cannot be evaluated: ValueError"],
+    ),
+    "no survey": (
+        {"profile": {"kind": "survey"} | PROFILES["survey"] | {"file": "absent.csv"}},
+        "profile",
+        ["absent.csv"],
+    ),
+    "survey is a folder": (
+        {"profile": {"kind": "survey"} | PROFILES["survey"] | {"file": "."}},
+        "profile",
+        ["file = "],
+    ),
+    "survey with NUL": ({"profile": {"kind": "survey"} | PROFILES["survey"] | {"file": "a\0"}}, "profile", ["file = "]),
+    "survey descends": (
+        {"profile": {"kind": "survey", "file": "survey.csv", "critical_slope": 0.5, "length": 2.0}},
+        "profile",
+        ["file = 'survey.csv' does not rise in rows 3-4", "repair = 'isotonic'"],
+    ),
+    "unknown repair": (
+        {"profile": {"kind": "survey"} | PROFILES["survey"] | {"repair": "mend"}},
+        "profile",
+        ["repair = 'mend' is not known; allowed is 'isotonic'"],
+    ),
+    "too much flux": (
+        {"profile": {"kind": "steady", "flux": 1.0}},
+        "profile",
+        ["flux = 1 is more than the law 'rational' erodes"],
+    ),
+}
+BAD |= {
+    f"snapshots = {value!r}": (
+        {"time.snapshots": value},
+        "time",
+        [f"snapshots = {value!r} must be a whole number or a list"],
+    )
+    for value in (1.5, "3", True, {}, ["a"], [math.nan], [True])
+}
+
+NOT_TOML = {  # id -> (bytes of the file, words)
+    "not TOML": (b"[erosion\nlaw = 'rational'\n", ["not valid TOML", "line 1"]),
+    "repeated key": (b"title = 'a'\ntitle = 'b'\n", ["not valid TOML"]),
+    "not UTF-8": (b"title = '\xff'\n", ["cannot be read", "utf-8"]),
+    "NUL": (b"title = 'a\0'\n", ["not valid TOML"]),
+    "nested": (b"title = " + b"[" * 20_000, ["not valid TOML"]),
+    "thousands of digits": (b"title = " + b"9" * 5000, ["not valid TOML"]),
+    "empty": (b"", ["law is missing"]),
+}

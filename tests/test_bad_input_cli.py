@@ -1,0 +1,235 @@
+"""The command line with bad input, no place to write, or a run that breaks down: exit code, sentence, no remains."""
+
+import csv
+import json
+import os
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomli_w
+from bad_cases import BAD, FILES, NOT_TOML, VALID, changed, with_files
+from scipy.io import netcdf_file
+
+from hjprofile.cli import main
+from hjprofile.problem.case import shipped_cases
+
+
+@pytest.fixture
+def folder(in_tmp):
+    with_files(in_tmp)
+    (in_tmp / "scene.toml").write_text(tomli_w.dumps(VALID))
+    return in_tmp
+
+
+def call(capsys, *arguments):
+    """Exit code, stdout and stderr, with numpy as a user has it and every warning counted as a line on stderr."""
+    with np.errstate(all="warn", under="ignore"), warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("default")
+        with pytest.raises(SystemExit) as left:
+            main(list(arguments))
+    out, err = capsys.readouterr()
+    return left.value.code, out, err + "".join(f"{w.category.__name__}: {w.message}\n" for w in warned)
+
+
+def assert_refused(folder, result, *words, code=2):
+    """One sentence on stderr, nothing on stdout, and nothing beside the input in the folder."""
+    got, out, err = result
+    assert (got, out) == (code, "")
+    assert err.startswith("hjprofile: ") and err.endswith("\n") and err.count("\n") == 1
+    assert "Traceback" not in err
+    assert [w for w in words if " ".join(w.split()) not in err] == []
+    left = {path.name for path in folder.iterdir()} - {"__pycache__"}  # of the user's Python file
+    assert left <= {*FILES, "scene.toml", "occupied"}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_cases(folder, capsys, name):
+    changes, section, words = BAD[name]
+    (folder / "scene.toml").write_text(tomli_w.dumps(changed(changes)))
+    where = f"scene.toml: [{section}] " if section else "scene.toml: "
+    assert_refused(folder, call(capsys, "run", "scene.toml"), where, *words)
+
+
+@pytest.mark.parametrize("name", NOT_TOML)
+@pytest.mark.parametrize("command", ["run", "check"])
+def test_files_that_are_no_toml(folder, capsys, name, command):
+    content, words = NOT_TOML[name]
+    (folder / "scene.toml").write_bytes(content)
+    assert_refused(folder, call(capsys, command, "scene.toml"), "scene.toml", *words)
+
+
+BAD_SURVEYS = {
+    "empty": b"",
+    "no header": b"0,0\n1,1\n",
+    "unsorted": b"x,height\n0,0\n2,1\n1,2\n",
+    "duplicate": b"x,height\n0,0\n1,1\n1,2\n",
+    "nan": b"x,height\n0,0\n1,nan\n",
+    "text": b"x,height\n0,0\n1,steep\n",
+    "one point": b"x,height\n0,0\n",
+    "not UTF-8": b"x,height\n0,0\n1,1\xff\n",
+    "huge": b"x,height\n0,-1e308\n1,1e308\n2,1.1e308\n",
+    "tiny": b"x,height\n0,0\n1e-320,1\n",
+}
+
+
+@pytest.mark.parametrize("name", BAD_SURVEYS)
+def test_bad_surveys(folder, capsys, name):
+    (folder / "survey.csv").write_bytes(BAD_SURVEYS[name])
+    content = changed({"profile": {"kind": "survey", "file": "survey.csv", "critical_slope": 0.5, "length": 2.0}})
+    (folder / "scene.toml").write_text(tomli_w.dumps(content))
+    assert_refused(folder, call(capsys, "run", "scene.toml"), "scene.toml: [profile] file = ", "survey.csv")
+
+
+BAD_USER_FILES = {
+    "cannot be imported": "import no_such_module\n",
+    "no Python": "def f(q:\n",
+    "leaves": "import sys\nsys.exit(0)\n",
+    "other name": "def g(q):\n    return q\n",
+    "no function": "f = 3\n",
+    "fails": "def f(q):\n    raise KeyError(q)\n",
+    "no law": "def f(q):\n    return q\n",
+}
+
+
+@pytest.mark.parametrize("name", BAD_USER_FILES)
+def test_bad_python_files(folder, capsys, name):
+    (folder / "user.py").write_text(BAD_USER_FILES[name])
+    content = changed({"erosion": {"law": "python", "file": "user.py", "function": "f"}})
+    (folder / "scene.toml").write_text(tomli_w.dumps(content))
+    assert_refused(folder, call(capsys, "run", "scene.toml"), "scene.toml: [erosion] ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["run", "two_kinkz"], ["two_kinkz: no such file", "did you mean 'two_kinks'?"]),
+        (["run", "."], [".: no such file", "they are: breaking_bump"]),
+        (["run", ""], ["no such file"]),
+        (["run", "x" * 5000], ["cannot be read: File name too long"]),
+        (["run"], ["CASE"]),
+        (["run", "scene.toml", "another"], ["another"]),
+        (["run", "scene.toml", "--cels", "50"], ["--cels"]),
+        (["run", "scene.toml", "--cells"], ["--cells"]),
+        (["run", "scene.toml", "--cells", "many"], ["--cells", "many"]),
+        (["run", "scene.toml", "--cells", "60.7"], ["Invalid value for --cells: '60.7' is not a whole number"]),
+        (["run", "scene.toml", "--cells", "9" * 5000], ["Invalid value for --cells: '9999"]),
+        (["run", "scene.toml", "--cells", "0"], ["scene.toml: [domain] cells = 0 must be a whole number, 4 or more"]),
+        (["run", "scene.toml", "--cells", str(10**15)], ["[domain] cells = 1000000000000000", "cells fit"]),
+        (["run", "scene.toml", "--cfl", "0"], ["[solver] cfl = 0.0 must be a positive number"]),
+        (["run", "scene.toml", "--cfl", "nan"], ["[solver] cfl = nan must be a positive number"]),
+        (["run", "scene.toml", "--cfl=-1"], ["[solver] cfl = -1.0 must be a positive number"]),
+        (["run", "scene.toml", "--end", "nan"], ["[time] end = nan must be a finite number"]),
+        (["run", "scene.toml", "--end=-2"], ["[time] end = -2.0 must be a number, 0 or more"]),
+        (["run", "scene.toml", "--method", "godunow"], ["[solver] method = 'godunow'", "did you mean 'godunov'?"]),
+        (["run", "scene.toml", "--method", ""], ["[solver] method = '' is not known", "local-lax-friedrichs"]),
+        (["runn", "scene.toml"], ["runn"]),
+        (["check"], ["check needs at least one CASE"]),
+        (["check", "scene.toml", "two_kinkz"], ["two_kinkz: no such file"]),
+        (["plot", "nowhere"], ["nowhere", "profile.nc is missing"]),
+        (["plot", "scene.toml"], ["scene.toml is not a readable result folder"]),
+        (["export", "nowhere"], ["export needs a format: --vtk"]),
+        (["export", "nowhere", "--vtk"], ["nowhere", "profile.nc is missing"]),
+        (["export", "."], ["--vtk"]),
+    ],
+    ids=lambda value: " ".join(value)[:60],
+)
+def test_bad_arguments(folder, capsys, arguments, words):
+    assert_refused(folder, call(capsys, *arguments), *words)
+
+
+@pytest.mark.parametrize("command", ["run", "check"])
+@pytest.mark.parametrize("out", ["occupied", "occupied/below", "/proc/hjprofile"])
+def test_no_place_to_write(folder, capsys, command, out):
+    if out.startswith("/proc") and not Path("/proc/self").exists():
+        pytest.skip("needs a folder in which not even root may write")
+    (folder / "occupied").write_text("mine")
+    result = call(capsys, command, "scene.toml", "--out", out)
+    assert_refused(folder, result, f"hjprofile: {out}", "nothing was left half-written", code=1)
+    assert (folder / "occupied").read_text() == "mine"
+
+
+def assert_partial(folder, result, source, at_start):
+    """What a run left that broke down: its last good state, complete, and a status that says when, where and why."""
+    code, out, err = result
+    assert code == 1
+    assert err.startswith(f"hjprofile: {source}: stopped at t = ") and err.count("\n") == 1
+    status = json.loads((folder / "summary.json").read_text())["status"]
+    assert status in err and str(folder) in err
+    for words in ("stopped at t = ", " near x = -", " reached -1 in a step of ", "set cfl to 1 or less"):
+        assert words in status
+    with netcdf_file(folder / "profile.nc", mmap=False) as file:
+        arrays = {name: np.array(variable[:]) for name, variable in file.variables.items()}
+    assert set(arrays) == {"time", "x", "x_cell", "u", "q", "K"}
+    for values in arrays.values():
+        assert values.size and np.all(np.isfinite(values))
+    assert np.all(arrays["q"] > -1.0)
+    assert (arrays["time"][-1] == 0.0) == at_start
+    assert f"stopped at t = {arrays['time'][-1]:.6g} near" in status
+    with open(folder / "kinks.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert rows
+    for row in rows:
+        del row["speed"]  # of a kink seen once it is not known
+        assert np.all(np.isfinite([float(value) for value in row.values()]))
+    assert not [path for path in folder.rglob("*") if path.name.startswith(".")]  # nothing half-written
+
+
+def test_a_run_that_breaks_down_at_once(in_tmp, capsys):
+    result = call(capsys, "run", "two_kinks", "--cfl", "5", "--cells", "400")
+    folder = Path("results", "two_kinks")
+    assert_partial(folder, result, shipped_cases()["two_kinks"], at_start=True)
+    assert (folder / "profile.png").exists() and (folder / "vtk" / "profile.pvd").exists()
+
+
+def test_a_run_that_breaks_down_on_its_way(folder, capsys):
+    content = changed({"profile": {"kind": "steps", "edges": [-4.0, -2.0], "values": [-0.4]}, "time.end": 4.0})
+    content |= {"domain": {"left": -6.0, "cells": 150}, "time": {"end": 4.0, "snapshots": 9}}
+    content["solver"] = {"method": "local-lax-friedrichs", "cfl": 1.5}
+    (folder / "scene.toml").write_text(tomli_w.dumps(content))
+    result = call(capsys, "run", "scene.toml", "--out", "partial")
+    assert_partial(Path("partial"), result, "scene.toml", at_start=False)
+
+
+def process(*arguments, stdout=subprocess.PIPE):
+    """`python -m hjprofile ...` with every warning shown and stdout buffered."""
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONUNBUFFERED"} | {"PYTHONWARNINGS": "default"}
+    command = [sys.executable, "-m", "hjprofile", *arguments]
+    return subprocess.run(command, stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=120, env=environment)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (["run", "scene.toml", "--cells", "2"], 2),
+        (["run", "absent.toml"], 2),
+        (["run", "scene.toml", "--out", "occupied"], 1),
+        (["run", "scene.toml", "--out", "good"], 0),
+    ],
+)
+def test_a_process_of_its_own(folder, arguments, code):
+    (folder / "occupied").write_text("mine")
+    done = process(*arguments)
+    assert done.returncode == code
+    assert done.stderr.count("\n") == (1 if code else 0)
+    assert "Traceback" not in done.stderr
+    assert (folder / "good" / "summary.json").exists() == (code == 0)
+    assert not (folder / "results").exists()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["cases"], "hjprofile: No space left on device"),
+        (["run", "scene.toml", "--method", "lax-friedrichs", "--cfl", "9"], "scene.toml: stopped at t = "),
+    ],
+)
+def test_stdout_on_a_full_disk(folder, arguments, words):
+    with open("/dev/full", "w") as full:
+        done = process(*arguments, stdout=full)
+    assert done.returncode == 1
+    assert words in done.stderr and done.stderr.count("\n") == 1

@@ -1,0 +1,511 @@
+"""Initial profiles against quadrature of what defines them, surveys and their repair, and bad arguments."""
+
+import math
+import re
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad
+from scipy.optimize import brentq, lsq_linear
+
+from hjprofile.errors import InputError
+from hjprofile.problem import Problem
+from hjprofile.problem.erosion import expression, log, power, rational
+from hjprofile.problem.grid import Grid
+from hjprofile.problem.profiles import (
+    REPAIR_SLOPE,
+    TAIL,
+    bumps,
+    kinks,
+    points,
+    profile,
+    steady,
+    steps,
+    survey,
+)
+
+LAWS = {  # name -> (law, R' in closed form, inverse in closed form)
+    "rational": (rational(), lambda q: 1.0, lambda y: y / (1 - y)),
+    "log": (log(), lambda q: (math.log1p(q) - q / (1 + q)) / math.log1p(q) ** 2, math.expm1),
+    "power 2": (power(2.0), lambda q: 2 * (1 + q) * (3 + q) / (2 + q) ** 2, lambda y: (1 - 2 * y) ** -0.5 - 1),
+    "roots": (  # with r = sqrt(1+q): f = r - 1/r = q/r, R = r
+        expression("sqrt(1+q) - 1/sqrt(1+q)"),
+        lambda q: 0.5 / math.sqrt(1 + q),
+        lambda y: (y / 2 + math.sqrt(1 + y * y / 4)) ** 2 - 1,
+    ),
+}
+GRID = Grid(left=-9.0, cells=90)
+laws = pytest.mark.parametrize("name", LAWS)
+
+
+def means_by_quadrature(q, breaks=(), grid=GRID):
+    """Cell means of a function of single numbers, with its jumps and corners told to the integrator."""
+    means = []
+    for a, b in zip(grid.nodes[:-1], grid.nodes[1:], strict=True):
+        inner = [a, *sorted(x for x in breaks if a < x < b), b]
+        means.append(sum(quad(q, *ends, epsabs=1e-14, epsrel=1e-13)[0] for ends in pairwise(inner)) / grid.dx)
+    return np.array(means)
+
+
+def assert_means(given_profile, law, q, breaks=(), rtol=0.0):
+    found = given_profile.q_means(GRID, law)
+    expected = means_by_quadrature(q, breaks)
+    # a difference of two W of order one, divided by dx = 0.1, keeps 1e-14; so does the quadrature
+    np.testing.assert_allclose(found, expected, rtol=rtol, atol=5e-14)
+    assert np.max(np.abs(expected)) > 0.1
+
+
+def fall(derivative, a, distance):
+    """q at a distance right of a place with q = a: the q at which ∫_q^a R'(p) dp/p is the distance."""
+    if distance == 0:
+        return a
+
+    def short(s):
+        return quad(lambda z: derivative(a * math.exp(z)), s, 0.0, epsabs=1e-13, epsrel=1e-13)[0] - distance
+
+    return a * math.exp(brentq(short, -5 * distance, 0.0, xtol=1e-14, rtol=1e-14))
+
+
+@laws
+def test_means_of_kinks(name):
+    law, derivative, _ = LAWS[name]
+    positions, amplitudes = [-2.53, -1.7, -0.6], [0.7, 1.3, 2.0]
+    grid = Grid(left=-3.0, cells=6)
+
+    def q(x):
+        j = sum(x > s for s in positions) - 1
+        return fall(derivative, amplitudes[j], x - positions[j]) if j >= 0 else 0.0
+
+    found = kinks(positions, amplitudes).q_means(grid, law)
+    # R' of a law given as a difference is good to 1e-12
+    np.testing.assert_allclose(found, means_by_quadrature(q, positions, grid), rtol=0, atol=2e-12)
+
+
+def test_means_of_bumps():
+    a, c, w = [0.8, -0.3, 2.0, 0.5], [-5.0, -3.0, 0.4, -4.0], [1.0, 0.5, 0.9, 0.02]
+
+    def q(x):
+        return sum(ai * math.exp(-(((x - ci) / wi) ** 2)) for ai, ci, wi in zip(a, c, w, strict=True))
+
+    assert_means(bumps(a, c, w), rational(), q, breaks=[-4.04, -4.02, -4.0, -3.98, -3.96])
+
+
+def test_means_of_steps():
+    edges, values = [-6.03, -4.0, -3.97, -1.0], [-0.4, 5.0, 1.5]
+
+    def q(x):
+        return next((v for v, a, b in zip(values, edges, edges[1:], strict=False) if a < x < b), 0.0)
+
+    assert_means(steps(edges, values), rational(), q, edges)
+
+
+@pytest.mark.parametrize(
+    ("x", "q"),
+    [
+        ([-6.03, -4.0, -4.0, -3.97, -1.0], [0.0, 2.0, -0.5, 3.0, 0.25]),
+        ([-6.03, -6.03, -2.0], [0.0, 2.0, 1.0]),
+        ([-6.03, -2.0, -2.0], [1.0, 2.0, 7.0]),  # a jump at the last point, right of which q = 0 anyway
+        ([-6.03, 0.0], [1.0, 2.0]),
+    ],
+)
+def test_means_of_points(x, q):
+    def at(s):
+        for a, b, qa, qb in zip(x, x[1:], q, q[1:], strict=False):
+            if a < s < b:
+                return qa + (qb - qa) * (s - a) / (b - a)
+        return 0.0
+
+    assert_means(points(x, q), rational(), at, x)
+
+
+@pytest.mark.parametrize("kink", [-2.53, None])
+@laws
+def test_steady_slope_and_its_flux(name, kink):
+    law, _, inverse = LAWS[name]
+    a = 0.3
+    slope = steady(a, kink)
+
+    def q(x):
+        return inverse(a / (1 - a * x)) if kink is None or x > kink else 0.0
+
+    assert_means(slope, law, q, [] if kink is None else [kink])
+    assert slope.inflow == (a if kink is None else 0.0)
+    for x in (-2.5, -1.0, -0.01, 0.0):
+        exponent, _ = quad(lambda s: float(law.f(slope.q(np.array(s), law))), x, 0.0, epsabs=1e-13, epsrel=1e-13)
+        # K f(q) = a: root finding and quadrature keep 1e-13
+        assert math.exp(exponent) * law.f(slope.q(np.array(x), law)) == pytest.approx(a, rel=1e-12)
+
+
+def test_means_of_a_python_function():
+    def u(x):
+        return x + math.exp(-((x + 4) ** 2)) if x < -4 else x + 1.0
+
+    def q(x):
+        return -2 * (x + 4) * math.exp(-((x + 4) ** 2)) if x < -4 else 0.0
+
+    assert_means(profile(u), rational(), q, [-4.0])
+    arrays = profile(lambda x: np.where(x < -4, x + np.exp(-((x + 4) ** 2)), x + 1.0))
+    arrays.check(GRID, rational())
+    np.testing.assert_allclose(arrays.q_means(GRID, rational()), profile(u).q_means(GRID, rational()), atol=5e-14)
+
+
+positive = st.floats(0.01, 3.0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(positive, positive), min_size=1, max_size=5), st.floats(0.0, 2.0))
+def test_any_upward_kinks(pairs, last):
+    """Under the rational law q falls as e^{-x}: masses, heights of the jumps, and the least that is allowed."""
+    positions, amplitudes, met, mass, q = [-last - sum(gap for gap, _ in pairs)], [], [], [], 0.0
+    for gap, jump in pairs:
+        met.append(q)
+        amplitudes.append(q + jump)
+        q = amplitudes[-1] * math.exp(-gap)
+        mass.append(amplitudes[-1] - q)
+        positions.append(positions[-1] + gap)
+    mass[-1] = amplitudes[-1] * -math.expm1(positions[-2])
+    *positions, _ = positions
+    assume(positions[-1] < 0)
+    grid, law, slope = Grid(left=positions[0] - 1.0, cells=200), rational(), kinks(positions, amplitudes)
+    slope.check(grid, law)
+    W = slope.W(np.array([grid.left, *positions, 0.0]), law)
+    # exponentials, sums of at most 5 masses of at most 20
+    np.testing.assert_allclose(np.diff(W), [0.0, *mass], rtol=1e-13, atol=1e-13)
+    q = slope.q_means(grid, law)
+    assert np.all(q >= -1e-12)
+    assert grid.dx * q.sum() == pytest.approx(sum(mass), rel=1e-12)
+    for x, before, after in zip(positions, met, amplitudes, strict=True):
+        h = 1e-6
+        left, right = np.diff(slope.W(np.array([x - h, x, x + h]), law)) / h
+        # one-sided differences are off by q h/2 and by rounding 1e-14/h
+        assert left == pytest.approx(before, abs=1e-6 * before + 5e-8)
+        assert right == pytest.approx(after, abs=1e-6 * after + 5e-8)
+    if len(met) > 1:
+        amplitudes[-1] = met[-1] * (1 - 1e-9)
+        with pytest.raises(InputError, match=re.escape(f"amplitudes[{len(met) - 1}] = ")):
+            kinks(positions, amplitudes).check(grid, law)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.floats(0.01, 2.0), st.floats(-0.999, 20.0)), min_size=1, max_size=8), st.integers(4, 300))
+def test_any_steps(pieces, cells):
+    edges = np.concatenate([[0.0], np.cumsum([length for length, _ in pieces])])
+    edges, values = edges - edges[-1], [v for _, v in pieces]
+    grid, slope = Grid(left=float(edges[0]) - 0.5, cells=cells), steps(edges, values)
+    slope.check(grid, rational())
+    q = slope.q_means(grid, rational())
+    assert np.all(q > -1.0)
+    # sums of masses of at most 300, and their differences divided by dx
+    assert grid.dx * q.sum() == pytest.approx(float(np.diff(edges) @ values), abs=1e-11)
+    assert np.all((q >= min(0.0, *values) - 1e-9) & (q <= max(0.0, *values) + 1e-9))
+    own = Grid(left=float(edges[0]), cells=cells)  # cells that lie within one step have its value
+    at = np.searchsorted(edges, own.centres) - 1
+    inside = (own.nodes[:-1] >= edges[at]) & (own.nodes[1:] <= edges[at + 1])
+    np.testing.assert_allclose(slope.q_means(own, rational())[inside], np.array(values)[at][inside], atol=1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.floats(0.0, 2.0), st.floats(-0.999, 20.0)), min_size=2, max_size=8))
+def test_any_points(steps_and_values):
+    gaps, q = (np.array(column) for column in zip(*steps_and_values, strict=True))
+    x = np.cumsum(gaps) - np.cumsum(gaps)[-1]
+    assume(x[0] < 0 and not np.any((np.diff(x)[1:] == 0) & (np.diff(x)[:-1] == 0)))
+    grid, slope = Grid(left=float(x[0]) - 0.5, cells=64), points(x, q)
+    slope.check(grid, rational())
+    means = slope.q_means(grid, rational())
+    assert np.all(means > -1.0)
+    assert grid.dx * means.sum() == pytest.approx(np.trapezoid(q, x), abs=1e-11)  # masses of at most 300
+    W = slope.W(x, rational())
+    np.testing.assert_allclose(np.diff(W), 0.5 * np.diff(x) * (q[1:] + q[:-1]), atol=1e-12)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.tuples(st.floats(-0.3, 5.0), st.floats(-6.0, 1.0), st.floats(0.05, 1.0)), min_size=1, max_size=3))
+def test_any_bumps(rows):
+    a, c, w = map(np.array, zip(*rows, strict=True))
+    slope = bumps(a, c, w)
+    grid = Grid(left=-12.0, cells=120)
+    slope.check(grid, rational())
+    means = slope.q_means(grid, rational())
+    assert np.all(means > -1.0)
+    # ∫ over the half line, from Python's own error function
+    mass = sum(0.5 * math.sqrt(math.pi) * ai * wi * math.erfc(ci / wi) for ai, ci, wi in rows)
+    assert grid.dx * means.sum() == pytest.approx(mass, abs=1e-13)
+    assert means[0] == pytest.approx(0.0, abs=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("slope", "start"),
+    [
+        (kinks([-7.0, -5.0], [0.4, 1.2]), -7.0),
+        (steps([-6.0, -4.0], [-0.4]), -6.0),
+        (points([-3.0, -1.0], [0.0, 1.0]), -3.0),
+        (steady(0.3, -2.0), -2.0),
+        (bumps([0.8, -0.3], [-5.0, -3.0], [1.0, 0.5]), -5.0 - math.sqrt(math.log(0.8 / TAIL))),
+    ],
+)
+def test_a_profile_must_fit_the_grid(slope, start):
+    law = rational()
+    assert slope.start() == pytest.approx(start, rel=1e-14)
+    slope.check(Grid(left=start * (1 + 1e-9), cells=50), law)
+    with pytest.raises(InputError, match=r"reaches left to x = .* but the domain begins at left = .* at most"):
+        slope.check(Grid(left=start * (1 - 1e-9), cells=50), law)
+
+
+def test_the_steady_slope_without_a_kink_fits_every_grid():
+    steady(0.3).check(Grid(left=-1.0, cells=10), rational())
+
+
+# Surveys
+
+
+def write(folder, rows, header="x,height"):
+    path = folder / "survey.csv"
+    path.write_text("\n".join([header, *(f"{x!r},{h!r}" for x, h in rows)]) + "\n")
+    return path
+
+
+ROWS = [(10.0, 3.0), (25.0, 9.0), (31.0, 9.5), (70.0, 41.0), (85.0, 55.5)]
+
+
+def test_a_survey_is_scaled_and_there_is_a_way_back(tmp_path):
+    length, critical = 12.0, 0.6
+    slope = survey("survey.csv", critical, length, base=write(tmp_path, ROWS).parent)
+    x, height = np.array(ROWS).T
+    grid = Grid(left=-9.0, cells=90)
+    slope.check(grid, rational())
+    assert (slope.units.length, slope.units.critical_slope) == (length, critical)
+    assert (slope.units.x_top, slope.units.height_top) == (85.0, 55.5)
+    assert slope.units.volume == pytest.approx(length**2 * critical, rel=1e-15)
+
+    xi = (x - 85.0) / length
+    u = xi + slope.W(xi, rational())
+    # heights of 55 and less, a few roundings
+    np.testing.assert_allclose(slope.units.height_top + length * critical * u, height, rtol=0, atol=5e-14)
+    np.testing.assert_allclose(slope.units.height(u), height, rtol=0, atol=5e-14)
+    np.testing.assert_allclose(slope.units.x(xi), x, rtol=0, atol=5e-14)
+
+    # the survey itself, continued downhill with the critical slope, in its own units
+    nodes = 85.0 + length * grid.nodes
+    below = np.minimum(nodes - x[0], 0.0)
+    H = np.interp(nodes, x, height) + critical * below
+    np.testing.assert_allclose(
+        slope.q_means(grid, rational()), np.diff(H) / (critical * length * grid.dx) - 1, rtol=0, atol=1e-12
+    )
+    assert slope.start() == pytest.approx(xi[0], rel=1e-15)
+    assert slope.account == ""
+
+
+def test_similar_surveys_are_one_profile(tmp_path):
+    one = survey(write(tmp_path, ROWS), 0.6, 12.0)
+    other = survey(write(tmp_path, [(8 * x + 5, 4 * h - 100) for x, h in ROWS]), 0.3, 96.0)
+    np.testing.assert_allclose(one.q_means(GRID, log()), other.q_means(GRID, log()), rtol=0, atol=1e-12)
+
+
+def test_comments_blank_lines_and_a_byte_order_mark_are_skipped(tmp_path):
+    path = tmp_path / "survey.csv"
+    path.write_bytes(b"\xef\xbb\xbf# taken in May\r\n x , height \r\n\r\n0,0\r\n# a gap\r\n1, 2\r\n")
+    assert survey(path, 1.0, 1.0).q_means(Grid(left=-1.0, cells=4), rational()) == pytest.approx([1.0] * 4)
+
+
+FALLING = [(0.0, 0.0), (1.0, 3.0), (2.0, 2.0), (4.0, 2.5), (5.0, 2.4), (6.0, 9.0)]
+
+
+def test_a_survey_that_descends_is_refused_with_its_rows(tmp_path):
+    with pytest.raises(InputError) as refused:
+        survey(write(tmp_path, FALLING), 0.5, 1.0)
+    for words in ("does not rise in rows 3-4, 5-6;", "mirror it", "repair = 'isotonic'", "survey.csv"):
+        assert words in str(refused.value)
+    mirrored = [(-x, h) for x, h in reversed(ROWS)]
+    with pytest.raises(InputError, match=r"rows 2-3, 3-4, 4-5, 5-6;"):
+        survey(write(tmp_path, mirrored), 0.5, 1.0)
+    many = [(float(i), -float(i)) for i in range(20)]
+    with pytest.raises(InputError, match=r"rows 2-3, 3-4, 4-5, 5-6, 6-7, \.\.\.;"):
+        survey(write(tmp_path, many), 0.5, 1.0)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.tuples(st.floats(0.1, 5.0), st.floats(-10.0, 10.0)), min_size=2, max_size=9),
+    st.floats(0.1, 2.0),
+)
+def test_the_repaired_survey_is_the_nearest_rising_one(tmp_path_factory, rows, critical):
+    """Least squares over a base and non-negative rises above the least slope, by a bounded active-set solver."""
+    x, height = np.cumsum([gap for gap, _ in rows]), np.array([h for _, h in rows])
+    path = write(tmp_path_factory.mktemp("survey"), list(zip(x.tolist(), height.tolist(), strict=True)))
+    length = 3.0
+    slope = survey(path, critical, length, repair="isotonic")
+    xi = (x - x[-1]) / length
+    repaired = slope.units.height(xi + slope.W(xi, rational()))
+
+    least = REPAIR_SLOPE * critical
+    tilt = least * (x - x[-1])
+    basis = np.tril(np.ones((x.size, x.size)))
+    free = lsq_linear(basis, height - tilt, (np.r_[-np.inf, np.zeros(x.size - 1)], np.inf), method="bvls", tol=1e-14)
+    nearest = basis @ free.x + tilt
+    # the repair keeps 1e-9 of the least rise (at most 1e-9 * 0.1 * 45) in hand against rounding
+    np.testing.assert_allclose(repaired, nearest, rtol=0, atol=1e-8)
+    assert np.all(np.diff(repaired) >= least * np.diff(x) * (1 - 1e-9) - 1e-12)
+    slope.check(Grid(left=float(xi[0]) - 1.0, cells=40), rational())
+
+    moved = np.abs(nearest - height)
+    assume(not np.any((moved > 1e-12) & (moved < 1e-6)))  # whether such a point has moved is a matter of rounding
+    if moved.max() <= 1e-12:
+        assert slope.account == ""
+        return
+    number, most, average = re.fullmatch(
+        rf"survey repaired: (\d+) of {x.size} points moved, by (\S+) at most and (\S+) on average \(r\.m\.s\.\)",
+        slope.account,
+    ).groups()
+    assert int(number) == np.count_nonzero(moved > 1e-6)
+    assert float(most) == pytest.approx(moved.max(), rel=5e-3)  # three digits are printed
+    assert float(average) == pytest.approx(np.sqrt(np.mean(moved**2)), rel=5e-3)
+
+
+def test_a_rising_survey_needs_no_repair(tmp_path):
+    path = write(tmp_path, ROWS)
+    repaired, plain = survey(path, 0.6, 12.0, repair="isotonic"), survey(path, 0.6, 12.0)
+    assert repaired.account == ""
+    assert np.array_equal(repaired.q_means(GRID, log()), plain.q_means(GRID, log()))
+    assert repaired.table == {**plain.table, "repair": "isotonic"}
+
+
+BAD_SURVEYS = {
+    "empty": (b"", "must begin with the header 'x,height', not 'nothing'"),
+    "only comments": (b"# nothing here\n", "not 'nothing'"),
+    "no header": (b"0,0\n1,1\n", "must begin with the header 'x,height', not '0,0'"),
+    "other header": (b"x,z\n0,0\n1,1\n", "not 'x,z'"),
+    "semicolons": (b"x;height\n0;0\n1;1\n", "not 'x;height'"),
+    "only a header": (b"x,height\n", "has 0 points; a survey needs at least 2"),
+    "one point": (b"x,height\n0,0\n", "has 1 points; a survey needs at least 2"),
+    "unsorted": (b"x,height\n0,0\n2,1\n1,2\n", "row 4: x = 1 must be greater than the x = 2 before it"),
+    "duplicate": (b"# c\nx,height\n0,0\n1,1\n1,2\n", "row 5: x = 1 must be greater than the x = 1 before it"),
+    "nan": (b"x,height\n0,0\n1,nan\n", "row 3: '1,nan' must be finite"),
+    "infinite": (b"x,height\n-inf,0\n1,1\n", "row 2: '-inf,0' must be finite"),
+    "text": (b"x,height\n0,0\n1,steep\n", "row 3: '1,steep' must be two numbers"),
+    "gap": (b"x,height\n0,0\n1,\n2,2\n", "row 3: '1,' must be two numbers"),
+    "three columns": (b"x,height\n0,0\n1,1,1\n", "row 3: '1,1,1' must be two numbers"),
+    "one column": (b"x,height\n0,0\n1\n", "row 3: '1' must be two numbers"),
+    "not UTF-8": (b"x,height\n0,0\n1,1\xff\xfe\n", "cannot be read as CSV: 'utf-8' codec"),
+    "UTF-16": ("x,height\n0,0\n1,1\n".encode("utf-16"), "cannot be read as CSV: 'utf-8' codec"),
+    "flat": (b"x,height\n0,0\n1,0\n", "does not rise in rows 2-3"),
+    "huge": (b"x,height\n0,-1e308\n1,1e308\n2,1.1e308\n", "leaves the range of numbers"),
+    "tiny": (b"x,height\n0,0\n1e-320,1\n", "leaves the range of numbers"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_SURVEYS)
+@pytest.mark.parametrize("repair", [None, "isotonic"])
+def test_bad_surveys(tmp_path, name, repair):
+    content, words = BAD_SURVEYS[name]
+    path = tmp_path / "survey.csv"
+    path.write_bytes(content)
+    with np.errstate(all="ignore"):  # as when a case is loaded
+        if name == "flat" and repair:
+            assert survey(path, 0.5, 1.0, repair).account != ""
+            return
+        with pytest.raises(InputError, match=re.escape(words)) as refused:
+            survey(path, 0.5, 1.0, repair)
+    assert "survey.csv" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("absent.csv", "does not exist"), (".", "cannot be read as CSV"), ("nul\0.csv", "cannot be read as CSV")],
+)
+def test_surveys_that_are_no_files(tmp_path, name, words):
+    with pytest.raises(InputError, match=words) as refused:
+        survey(name, 0.5, 1.0, base=tmp_path)
+    assert "file = " in str(refused.value)
+
+
+BAD_ARGUMENTS = [
+    (lambda: kinks([], []), "positions = "),
+    (lambda: kinks([-1.0], ["much"]), "amplitudes = "),
+    (lambda: kinks([[-1.0]], [1.0]), "positions = "),
+    (lambda: kinks([-1.0, -2.0], [1.0, 2.0]), "positions = [-1.0, -2.0] must increase"),
+    (lambda: kinks([-1.0, -1.0], [1.0, 2.0]), "positions = [-1.0, -1.0] must increase"),
+    (lambda: kinks([-1.0, 0.5], [1.0, 2.0]), "positions[1] = 0.5 lies past the top; the domain ends at x = 0"),
+    (lambda: kinks([-1.0, -0.5], [1.0]), "amplitudes has 1 entries and positions has 2"),
+    (lambda: kinks([-1.0, math.nan], [1.0, 2.0]), "positions[1] must be a finite number"),
+    (lambda: kinks([-1.0], [math.inf]), "amplitudes[0] must be a finite number"),
+    (lambda: kinks([-1.0], [0.0]).check(GRID, log()), "amplitudes[0] = 0 must exceed the q = 0"),
+    (lambda: kinks([-1.0], [-0.5]).check(GRID, log()), "amplitudes[0] = -0.5 must exceed the q = 0"),
+    (lambda: kinks([-3.0, -2.0], [1.0, 0.3]).check(GRID, rational()), "amplitudes[1] = 0.3 must exceed the q = 0.3678"),
+    (lambda: bumps([1.0], [-1.0], [0.0]), "widths[0] = 0 must be positive"),
+    (lambda: bumps([1.0, 1.0], [-1.0, -2.0], [1.0, -2.0]), "widths[1] = -2 must be positive"),
+    (lambda: bumps([1.0], [-1.0, -2.0], [1.0, 2.0]), "centres has 2 entries and amplitudes has 1"),
+    (lambda: bumps([-1.0], [-2.0], [1.0]), "q = -1 at x = -2; q must be above -1"),
+    (lambda: bumps([3.0, -4.2], [-2.0, -2.0], [1.0, 0.001]), "q = -1.2 at x = -2; q must be above -1"),
+    (lambda: steps([-1.0], []), "edges = "),
+    (lambda: steps([-2.0, -1.0], [1.0, 2.0]), "edges has 2 entries and values has 2; edges must have one more"),
+    (lambda: steps([-1.0, -2.0], [1.0]), "edges = [-1.0, -2.0] must increase"),
+    (lambda: steps([-1.0, 1.0], [1.0]), "edges[1] = 1 lies past the top"),
+    (lambda: steps([-2.0, -1.0, 0.0], [1.0, -1.0]), "values[1] = -1 must be above -1"),
+    (lambda: points([-1.0], [1.0]), "x = "),
+    (lambda: points([-1.0, -2.0], [1.0, 1.0]), "x[1] must not be left of the point before it"),
+    (lambda: points([-1.0, -1.0, -1.0], [1.0, 2.0, 3.0]), "x holds a position three times; a jump takes two"),
+    (lambda: points([-1.0, 1.0], [1.0, 2.0]), "x[1] = 1 lies past the top"),
+    (lambda: points([-2.0, -1.0], [0.0, -1.5]), "q[1] = -1.5 must be above -1"),
+    (lambda: points([-2.0, -1.0], [0.0]), "q = "),
+    (lambda: points([-2.0, -1.0], [0.0, 1.0, 2.0]), "q has 3 entries and x has 2"),
+    (lambda: steady(0.0), "flux = 0.0 must be a positive number"),
+    (lambda: steady(math.nan), "flux = nan must be a positive number"),
+    (lambda: steady(0.5, 0.0), "kink = 0.0 must be a negative number"),
+    (lambda: steady(0.5, -math.inf), "kink = -inf must be a negative number"),
+    (lambda: steady(1.0).check(GRID, rational()), "flux = 1 is more than the law 'rational' erodes at any slope"),
+    (lambda: steady(0.5).check(GRID, power(2.0)), "flux = 0.5 is more than the law 'power' erodes"),
+    (lambda: steady(1.0).check(GRID, expression("1-1/(1+q)")), "flux = 1 is more than the law 'expression' erodes"),
+    (lambda: profile(lambda x: 1 / 0).check(GRID, log()), "the profile cannot be evaluated: ZeroDivisionError"),
+    (lambda: profile(lambda x: x * math.nan).check(GRID, log()), "the profile is not finite near x = -8.95"),
+    (lambda: profile(lambda x: -x).check(GRID, log()), "q = -2 at the left end x = -9; the slope must be critical"),
+    (
+        lambda: profile(lambda x: x if x < -4 else -8 - x).check(GRID, log()),
+        "does not rise near x = -",
+    ),
+    (lambda: survey("a.csv", 0.0, 1.0), "critical_slope = 0.0 must be a positive number"),
+    (lambda: survey("a.csv", 1.0, math.nan), "length = nan must be a positive number"),
+    (lambda: survey("a.csv", 1.0, 1.0, "mend"), "repair = 'mend' is not known; allowed is 'isotonic'"),
+    (lambda: Grid(left=0.0, cells=10), "left = 0.0 must be a negative number"),
+    (lambda: Grid(left=-math.inf, cells=10), "left = -inf must be a negative number"),
+    (lambda: Grid(left=-1.0, cells=3), "cells = 3 must be a whole number, 4 or more"),
+    (lambda: Grid(left=-1.0, cells=5.0), "cells = 5.0 must be a whole number"),
+    (lambda: Grid(left=-1.0, cells=True), "cells = True must be a whole number"),
+    (lambda: Grid(left=-1.0, cells=10**400).check_memory(1), "with 1 snapshots needs"),
+    (lambda: Problem(log(), steady(0.1), end=-1.0), "end = -1.0 must be a number, 0 or more"),
+    (lambda: Problem(log(), steady(0.1), end=math.inf), "end = inf must be a number, 0 or more"),
+    (lambda: Problem(log(), steady(0.1), 1.0, snapshots=0), "snapshots = 0 must be 1 or more"),
+    (lambda: Problem(log(), steady(0.1), 1.0, snapshots=True), "snapshots = True must be 1 or more"),
+    (lambda: Problem(log(), steady(0.1), 1.0, snapshots=[]), "snapshots = [] must be a count or a list of times"),
+    (lambda: Problem(log(), steady(0.1), 1.0, snapshots=[0.5, 0.5]), "snapshots = [0.5, 0.5] must increase"),
+    (
+        lambda: Problem(log(), steady(0.1), 1.0, snapshots=[0.0, 1.5]),
+        "snapshots holds 1.5; times must lie between 0 and",
+    ),
+    (lambda: Problem(log(), steady(0.1), 5e-324, snapshots=31), "end = 5e-324 is too small for 31 snapshots"),
+]
+
+
+@pytest.mark.parametrize(("make", "words"), BAD_ARGUMENTS, ids=[words for _, words in BAD_ARGUMENTS])
+def test_bad_arguments_are_named(make, words):
+    with pytest.raises(InputError, match=re.escape(words)):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("end", "snapshots", "times"),
+    [
+        (2.0, 5, [0.0, 0.5, 1.0, 1.5, 2.0]),
+        (2.0, 1, [2.0]),
+        (2.0, (0.25, 1.0), [0.25, 1.0]),
+        (0.0, 31, [0.0]),
+        (0.0, [0.0], [0.0]),
+    ],
+)
+def test_kept_times(end, snapshots, times):
+    problem = Problem(log(), steady(0.1), end, snapshots)
+    assert problem.times.tolist() == times
+    assert problem.kept == len(times)

@@ -1,0 +1,323 @@
+"""A result folder: what is in it, that it comes back as it was, and that nothing in it is ever half written."""
+
+import csv
+import dataclasses
+import errno
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomli_w
+import xarray
+
+import hjprofile
+from hjprofile.errors import InputError
+from hjprofile.output import store
+from hjprofile.output.store import load_run, summary, to_json, write_run, write_whole
+from hjprofile.problem.case import parse_case
+from hjprofile.solvers.methods import solve_case
+
+KINKS = {
+    "title": "Zwei Knicke, α = 1",  # attributes of a netCDF file are bytes
+    "erosion": {"law": "rational"},
+    "profile": {"kind": "kinks", "positions": [-3.0, -2.0], "amplitudes": [0.4, 1.2]},
+    "domain": {"left": -4.0, "cells": 160},
+    "time": {"end": 4.0, "snapshots": 7},
+}
+BUMP = {"kind": "bumps", "amplitudes": [0.9], "centres": [-2.0], "widths": [0.4]}
+SURVEY = {"kind": "survey", "file": "slope.csv", "critical_slope": 0.6, "length": 123.4, "repair": "isotonic"}
+SCENES = {
+    "kinks": KINKS,  # a merge and an exit
+    "bump": KINKS | {"profile": BUMP, "title": ""},  # a birth
+    "survey": KINKS | {"profile": SURVEY, "domain": {"left": -4.0, "cells": 100}},
+    "failed": KINKS | {"solver": {"cfl": 3.0}},
+}
+FILES = {"profile.nc", "kinks.csv", "events.csv", "summary.json", "profile.png", "diagram.png"}
+
+
+@lru_cache
+def solved(name, folder=None):
+    return solve_case(parse_case(SCENES[name], name, name, folder))
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    """Where the survey lies. It descends between x = 200 and 300."""
+    folder = tmp_path_factory.mktemp("home")
+    (folder / "slope.csv").write_text("x,height\n0.1,5\n100,40\n200,90\n300,80\n400.3,233.3\n")
+    return folder
+
+
+@pytest.fixture(params=SCENES)
+def run(request, home):
+    return solved(request.param, home)
+
+
+@pytest.fixture(autouse=True)
+def pictures(monkeypatch):
+    """Stand-ins: the true ones take most of the time here, and have tests of their own."""
+    monkeypatch.setattr("hjprofile.output.plots.pictures", lambda run: {"profile.png": b"P", "diagram.png": b"D"})
+
+
+def names(folder):
+    return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+
+
+def snapshots(count):
+    return {f"vtk/{kind}_{i:04d}.vtp" for kind in ("profile", "kinks") for i in range(count)} | {
+        "vtk/profile.pvd", "vtk/kinks.pvd", "vtk/sheet.vtr"
+    }  # fmt: skip
+
+
+def test_the_scenes_hold_what_the_tests_need(home):
+    events = {name: {e.event for e in solved(name, home).events} for name in SCENES}
+    assert events["kinks"] == {"merge", "exit"} and "birth" in events["bump"]
+    assert {name for name in SCENES if not solved(name, home).done} == {"failed"}
+    assert solved("survey", home).account.startswith("survey repaired")
+
+
+def test_every_file_is_there(run, tmp_path):
+    folder = tmp_path / "deep" / "results"
+    written = write_run(run, folder)
+    assert names(folder) == FILES | snapshots(run.time.size) == {p.relative_to(folder).as_posix() for p in written}
+
+
+@pytest.mark.parametrize(
+    ("vtk", "plots", "expected"),
+    [
+        (False, False, FILES - {"profile.png", "diagram.png"}),
+        (False, True, FILES),
+        (True, False, FILES - {"profile.png", "diagram.png"} | snapshots(7)),
+    ],
+)
+def test_vtk_and_plots_can_be_left_out(tmp_path, vtk, plots, expected):
+    write_run(solved("kinks"), tmp_path, vtk=True, plots=True)  # what an earlier run left must go
+    (tmp_path / "notes.txt").write_text("mine")
+    write_run(solved("kinks"), tmp_path, vtk=vtk, plots=plots)
+    assert names(tmp_path) == expected | {"notes.txt"}
+
+
+def test_a_shorter_run_leaves_no_stale_snapshots(tmp_path):
+    write_run(solved("kinks"), tmp_path, plots=False)
+    run = solved("failed")
+    assert run.time.size < solved("kinks").time.size
+    write_run(run, tmp_path)
+    assert names(tmp_path) == FILES | snapshots(run.time.size)
+
+
+def test_netcdf_in_xarray(run, tmp_path):
+    write_run(run, tmp_path, vtk=False, plots=False)
+    with xarray.open_dataset(tmp_path / "profile.nc") as data:
+        assert dict(data.sizes) == {"time": run.time.size, "node": run.cells + 1, "cell": run.cells}
+        shapes = {
+            "time": ("time",), "x": ("node",), "x_cell": ("cell",),
+            "u": ("time", "node"), "q": ("time", "cell"), "K": ("time", "node"),
+        }  # fmt: skip
+        assert {name: data[name].dims for name in data.variables} == shapes
+        for name in shapes:
+            assert data[name].dtype == np.float64
+            assert np.array_equal(data[name].values, getattr(run, name)), name  # bitwise
+            assert data[name].attrs["long_name"] and data[name].attrs["units"] == "1"
+        assert (data["time"].attrs["axis"], data["x"].attrs["axis"]) == ("T", "X")
+        assert data.attrs["Conventions"].startswith("CF-")
+        assert (data.attrs["title"].strip(), data.attrs["method"]) == (run.title, run.method)
+        assert data.attrs["hjprofile_version"] == hjprofile.__version__
+        assert tomllib.loads(data.attrs["case"]) == run.case
+        back = {name: data.attrs.get(name) for name in ("length", "critical_slope", "x_top", "height_top")}
+    # 0.6, 123.4, 400.3 and 233.3 are no single-precision numbers
+    assert back == (dict(vars(run.units)) if run.units else dict.fromkeys(back))
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_case_in_the_netcdf_runs_again(home, tmp_path, name):
+    run = solved(name, home)
+    write_run(run, tmp_path, vtk=False, plots=False)
+    with xarray.open_dataset(tmp_path / "profile.nc") as data:
+        again = solve_case(parse_case(tomllib.loads(data.attrs["case"]), name, name, home))
+        assert np.array_equal(again.u, data["u"].values) and np.array_equal(again.q, data["q"].values)
+        assert again.status == run.status
+
+
+def rows(path):
+    with open(path, newline="") as stream:
+        return list(csv.reader(stream))
+
+
+def test_tables(run, tmp_path):
+    write_run(run, tmp_path, vtk=False, plots=False)
+    header, *kinks = rows(tmp_path / "kinks.csv")
+    assert ",".join(header) == "time,kink,x,q_left,q_right,jump,speed,rankine_hugoniot_speed"
+    values = np.array([[float(v) for v in row] for row in kinks])
+    np.testing.assert_array_equal(values, np.array(run.kinks, dtype=float))  # bitwise, with NaN for NaN
+    assert all(row[1].isdigit() for row in kinks)
+    header, *events = rows(tmp_path / "events.csv")
+    assert ",".join(header) == "time,event,kink,into,x"
+    assert [(float(t), e, int(k), int(i) if i else None, float(x)) for t, e, k, i, x in events] == list(run.events)
+
+
+def strict(text):
+    return json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+
+
+def test_summary(run, tmp_path):
+    write_run(run, tmp_path, vtk=False, plots=False)
+    content = strict((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    for name in ("title", "method", "status", "cells", "steps", "wall_seconds", "eroded_volume"):
+        assert content[name] == getattr(run, name), name
+    # one division in each direction: exact to a few roundings
+    assert content["cell_updates_per_second"] * run.wall_seconds == pytest.approx(run.steps * run.cells, rel=1e-14)
+    assert content["bounds"].keys() == run.bounds.keys() and len(run.bounds) >= 4
+    for name, bound in content["bounds"].items():
+        verdict = run.bounds[name]
+        assert isinstance(bound["holds"], bool) and bound["holds"] == verdict.holds
+        assert (bound["worst_margin"], bound["time"]) == (verdict.worst_margin, verdict.time)
+
+
+def test_summary_without_a_number():
+    """What is not finite becomes null: NaN and Infinity are no JSON."""
+    run = solved("kinks")
+    bounds = {name: b._replace(worst_margin=np.float64(-np.inf)) for name, b in run.bounds.items()}
+    lost = dataclasses.replace(run, wall_seconds=0.0, eroded_volume=np.nan, bounds=bounds)
+    content = strict(to_json(summary(lost)))
+    assert content["cell_updates_per_second"] is content["eroded_volume"] is None
+    assert {b["worst_margin"] for b in content["bounds"].values()} == {None}
+
+
+def assert_same(first, second):
+    for field in dataclasses.fields(first):
+        a, b = getattr(first, field.name), getattr(second, field.name)
+        if field.name in ("kinks", "events"):
+            assert list(map(str, a)) == list(map(str, b)), field.name  # a kink seen once has speed NaN
+        elif isinstance(a, np.ndarray):
+            assert np.array_equal(a, b) and a.dtype == b.dtype, field.name
+        else:
+            assert a == b, field.name
+
+
+def test_a_run_comes_back_as_it_was(run, tmp_path):
+    write_run(run, tmp_path, vtk=False, plots=False)
+    assert_same(load_run(tmp_path), run)
+    assert load_run(str(tmp_path)).kinks_at(-1) == run.kinks_at(-1)
+
+
+def test_a_run_with_gaps_comes_back(tmp_path):
+    """No bounds, no volume, a kink that was seen once: the numbers come back as NaN."""
+    run = solved("kinks")
+    kinks = [run.kinks[0]._replace(speed=np.nan)]
+    write_run(dataclasses.replace(run, kinks=kinks, bounds={}, eroded_volume=np.nan), tmp_path, False, False)
+    back = load_run(tmp_path)
+    assert np.isnan([back.kinks[0].speed, back.eroded_volume, back.volume_budget_error]).all()
+    assert dict(back.bounds) == {}
+
+
+def test_two_writings_are_the_same_bytes(home, tmp_path):
+    for folder in ("a", "b"):
+        write_run(solved("survey", home), tmp_path / folder)
+    for name in names(tmp_path / "a"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes(), name
+
+
+@pytest.mark.parametrize("name", ["profile.nc", "kinks.csv", "events.csv", "summary.json"])
+def test_a_folder_with_a_missing_or_broken_file_is_refused(tmp_path, name):
+    write_run(solved("kinks"), tmp_path, vtk=False, plots=False)
+    whole = (tmp_path / name).read_bytes()
+    broken = [b"\xff\xfe\x00", b"[]" if name == "summary.json" else b"a,b\n1,2\n"]
+    if name == "profile.nc":
+        broken += [whole[:size] for size in range(0, 3000, 61)] + [whole[:-1]]
+        broken += [whole.replace(b"[erosion]", b"[erosion", 1) + b"\0"]  # a case that is no TOML
+    if name == "summary.json":
+        broken += [whole[:size] for size in range(0, 60, 7)] + [b"{}", b"null"]
+    for content in broken:
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError, match="is not a readable result folder"):
+            load_run(tmp_path)
+    (tmp_path / name).unlink()
+    with pytest.raises(InputError, match=f"is not a complete result folder: {name} is missing"):
+        load_run(tmp_path)
+
+
+def full(*_):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.mark.parametrize("call", ["fsync", "replace", "chmod"])
+@pytest.mark.parametrize("older", [None, b"older"])
+def test_a_write_that_fails_leaves_nothing_half(tmp_path, monkeypatch, call, older):
+    path = tmp_path / "profile.nc"
+    if older:
+        path.write_bytes(older)
+    monkeypatch.setattr(store.os, call, full)
+    with pytest.raises(OSError, match="No space left") as failure:
+        write_whole(path, b"newer")
+    assert failure.value.filename == str(path)
+    assert names(tmp_path) == ({"profile.nc"} if older else set())
+    assert not older or path.read_bytes() == older
+
+
+def test_a_write_that_is_interrupted_leaves_nothing_half(tmp_path, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(store.os, "fsync", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        write_whole(tmp_path / "new", "text")
+    assert names(tmp_path) == set()
+
+
+def test_nobody_sees_half_a_file(tmp_path, monkeypatch):
+    """Up to the moment of the replacement the final name holds the older file, and then all of the new one."""
+    path, seen = tmp_path / "kinks.csv", []
+    path.write_text("older")
+    replace = os.replace
+
+    def watched(beside, final):
+        seen.append((path.read_text(), Path(beside).read_text(), Path(beside).parent))
+        replace(beside, final)
+
+    monkeypatch.setattr(store.os, "replace", watched)
+    write_whole(path, "häufig\n")
+    assert seen == [("older", "häufig\n", tmp_path)]  # beside it: a rename across disks is a copy
+    assert path.read_text(encoding="utf-8") == "häufig\n" and names(tmp_path) == {"kinks.csv"}
+
+
+@pytest.mark.parametrize("after", range(5))
+def test_a_folder_that_is_not_complete_is_not_taken_for_a_result(tmp_path, monkeypatch, after):
+    """A disk that fills up after some files: those are whole, there is no summary, no temporary file."""
+    whole = write_run(solved("kinks"), tmp_path / "whole", vtk=False)
+    write_run(solved("failed"), tmp_path / "cut", vtk=False)
+    left = iter([os.fsync] * after)
+    monkeypatch.setattr(store.os, "fsync", lambda handle: next(left, full)(handle))
+    with pytest.raises(OSError, match="No space left"):
+        write_run(solved("kinks"), tmp_path / "cut", vtk=False)
+    assert names(tmp_path / "cut") == FILES - {"summary.json"}
+    for path in whole[:after]:
+        assert (tmp_path / "cut" / path.name).read_bytes() == path.read_bytes()
+    with pytest.raises(InputError, match=r"summary\.json is missing"):
+        load_run(tmp_path / "cut")
+
+
+def test_a_disk_that_is_really_full(tmp_path):
+    """profile.nc fits on a disk of 64 kB, the pictures do not."""
+    if not shutil.which("unshare"):
+        pytest.skip("no unshare")
+    (tmp_path / "scene.toml").write_text(tomli_w.dumps(KINKS | {"output": {"vtk": False}}), encoding="utf-8")
+    (tmp_path / "disk").mkdir()
+    solved("kinks")  # compiles, so that no cache is written below
+    script = (
+        "mount -t tmpfs -o size=64k none disk || exit 77; echo mounted;"
+        f"{sys.executable} -m hjprofile run scene.toml --out disk/out; code=$?; ls -A disk/out; exit $code"
+    )
+    done = subprocess.run(["unshare", "-rm", "sh", "-c", script], cwd=tmp_path, capture_output=True, text=True)
+    if not done.stdout.startswith("mounted"):
+        pytest.skip("not allowed to mount a disk")
+    assert done.returncode == 1
+    assert done.stderr.startswith("hjprofile: disk/out/profile.png: No space left on device")
+    assert done.stderr.count("\n") == 1
+    assert done.stdout.split() == ["mounted", "events.csv", "kinks.csv", "profile.nc"]
