@@ -21,6 +21,7 @@ app = App(
     name="hjprofile",
     version=hjprofile.__version__,
     help_format="plaintext",
+    suppress_keyboard_interrupt=False,  # `main` has a sentence for it
     help="Slow erosion of granular slopes: a nonlocal Hamilton-Jacobi equation and its cross-checks.",
 )
 
@@ -164,7 +165,7 @@ def _account(run: Run) -> str:
         f"  solved      {run.method}, {run.cells} cells, {run.steps} steps in {run.wall_seconds:.2g} s "
         f"to t = {run.time[-1]:g}{poured}",
         f"  eroded      {volume}",
-        f"  kinks       {len(run.kinks_at(0))} at first, {len(run.kinks_at(-1))} at last; {events}",
+        f"  kinks       {len(run.kinks_at(0))} at t = {run.time[0]:g}, {len(run.kinks_at(-1))} at the end; {events}",
         f"  budgets     mass {'to rounding' if mass.holds else 'NOT KEPT'}; "
         f"volume to {run.volume_budget_error:.2g} ({budget.allowance})",
         f"  bounds      {'all hold' if not bounds else 'NOT HELD: ' + ', '.join(bounds)}",

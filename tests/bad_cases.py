@@ -3,6 +3,7 @@
 import copy
 import datetime
 import math
+import sys
 
 REMOVED = object()
 
@@ -168,6 +169,11 @@ BAD |= {
         {"erosion": {"law": "power", "m": 2.0}, "profile.amplitudes": [0.4, 1e308]},
         "profile",
         ["q must be finite"],
+    ),
+    "overflow of a mean": (
+        {"profile": {"kind": "steps", "edges": [-1.0, -0.5], "values": [sys.float_info.max]}},
+        "profile",
+        ["q = inf; q must be finite"],
     ),
     "inadmissible": (
         {"erosion": {"law": "expression", "expression": "q"}},

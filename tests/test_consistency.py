@@ -5,8 +5,9 @@ import pytest
 
 import hjprofile as hj
 from hjprofile.evidence.consistency import check_consistency
-from hjprofile.solvers import conservation, kernels
+from hjprofile.solvers import conservation
 from hjprofile.solvers import hj as hj_form
+from hjprofile.solvers.kernels import grid as kernels
 
 KINK = (hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0, snapshots=6), hj.Grid(-5.0, 2000))
 

@@ -18,7 +18,8 @@ class Comparison(NamedTuple):
 
     slope_l1, slope_max: ∫|(D u₁ - 1) - q₂| dx, where D u is the difference quotient on the cells, and its supremum.
     height_l1, height_sup: ∫|u₁ - u₂| dx and sup|u₁ - u₂|.
-    kinks: |x₁ - x₂| over kinks stronger than STRONG, at times when both runs see as many; NaN if there is none.
+    kinks: |x₁ - x₂| over kinks stronger than STRONG, at times after the start when both runs see as many; NaN if
+        there are none.
     """
 
     slope_l1: float
@@ -43,7 +44,7 @@ def compare(first: Run, second: Run) -> Comparison:
     a, b = first.u[i][:, :: first.cells // cells], second.u[j][:, :: second.cells // cells]
     dx = -float(first.x[0]) / cells
     slope = np.diff(a, axis=1) / dx - 1.0 - second.q[j].reshape(times.size, cells, -1).mean(axis=2)
-    apart = [_kink_distances(first, second, t) for t in times]
+    apart = [_kink_distances(first, second, t) for t in times if t > 0]
     pairs = np.concatenate(apart) if apart else np.empty(0)
     return Comparison(
         slope_l1=float(np.mean(dx * np.abs(slope).sum(axis=1))),

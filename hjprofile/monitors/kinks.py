@@ -66,8 +66,7 @@ def _rises(q: Array, d: Array) -> list[tuple[int, int]]:
             continue
         if rises and a < rises[-1][1]:  # two peaks in one rise
             a0, b0 = rises.pop()
-            # ... are one kink unless q between them has nearly levelled out
-            a, b = (a0, max(b, b0))
+            a, b = a0, max(b, b0)
         rises.append((a, b))
     return rises
 
@@ -218,12 +217,12 @@ def link(frames: Sequence[tuple[float, list[Sighting]]], dx: float, speed: Speed
 def _expected(path: _Path, t: float, dx: float, speed: Speed) -> tuple[float, float]:
     """Where the kink should be at t, and how far from there it may be found."""
     travel = path.velocity(speed) * (t - path.times[-1])
-    return path.sightings[-1].x + travel, 4 * dx + abs(travel)
+    return path.sightings[-1].x + travel, 4 * dx + 0.5 * abs(travel)
 
 
 def _is_lost(path: _Path, t: float, dx: float, speed: Speed) -> bool:
     """Out of sight for longer than two shocks need to become one."""
-    return abs(path.velocity(speed)) * (t - path.times[-1]) > 4 * WIDEST * dx
+    return abs(path.velocity(speed)) * (t - path.times[-1]) > 2 * WIDEST * dx
 
 
 def _untangle(claims: dict[int, list[_Path]], sightings: list[Sighting]) -> None:
@@ -313,12 +312,14 @@ def _without_flicker(paths: list[_Path]) -> list[_Path]:
 
 
 def _slope(t: Array, x: Array) -> float:
-    centred = t - t.mean()
-    return float(centred @ x / (centred @ centred))
+    """Of the line through the points by least squares."""
+    centred = (t - t[0]) - (t - t[0]).mean()
+    spread = float(centred @ centred)
+    return float(centred @ x) / spread if spread > 0 else 0.0
 
 
 def _measured_speed(path: _Path, i: int, dx: float) -> float:
-    """Slope of a line through the sightings around the i-th, over a few cells of travel; NaN if there is only one."""
+    """Slope of a line through MEMORY sightings around the i-th; NaN if there is only one."""
     first, last = i, i
     while last - first < MEMORY and (first > 0 or last < len(path.times) - 1):
         first, last = max(first - 1, 0), min(last + 1, len(path.times) - 1)

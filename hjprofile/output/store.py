@@ -59,7 +59,7 @@ def open_folder(folder: Path) -> Path:
         return folder
 
 
-def write_run(run: Run, folder: Path, vtk: bool = True, plots: bool = True) -> list[Path]:
+def write_run(run: Run, folder: str | Path, vtk: bool = True, plots: bool = True) -> list[Path]:
     """Writes the whole result folder and returns its files; files of an earlier run there are replaced."""
     files: dict[str, bytes | str] = {
         "profile.nc": netcdf(run),
@@ -75,6 +75,7 @@ def write_run(run: Run, folder: Path, vtk: bool = True, plots: bool = True) -> l
 
         files |= pictures(run)
     files["summary.json"] = to_json(summary(run))  # last: a folder with a summary is complete
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "summary.json").unlink(missing_ok=True)
     for name, data in files.items():
@@ -110,6 +111,8 @@ def netcdf(run: Run) -> bytes:
         variable.long_name, variable.units = long_name, "1"
         if axis:
             variable.axis = axis
+        if len(dimensions) == 2:
+            variable.coordinates = "x_cell" if dimensions[1] == "cell" else "x"
     file.flush()
     data = buffer.getvalue()
     file.close()

@@ -299,7 +299,7 @@ def check_assumptions(law: ErosionLaw) -> None:
         raise InputError(f"the law is not an erosion function: f(0) = 0 fails at q = 0, where f = {f0:.6g}")
     # A derivative found by differences carries rounding of about 1e-14 f/(1+q); far below it nothing can be said.
     resolved = np.abs(df) > 1e-9 * np.abs(f) / (1 + q)
-    flat = (df <= 0) & (resolved | (q < 100))
+    flat = (df <= 0) & (resolved | (q < 20))
     if flat.any():
         refuse("f' > 0", q[np.argmax(flat)])
     rising = (df[1:] >= df[:-1] * (1 - 1e-10)) & resolved[1:] & resolved[:-1]

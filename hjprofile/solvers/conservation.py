@@ -16,7 +16,7 @@ import numpy as np
 from hjprofile.problem import Problem
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
-from hjprofile.solvers import kernels
+from hjprofile.solvers.kernels import grid as kernels
 from hjprofile.solvers.march import Breakdown
 from hjprofile.solvers.run import Array
 

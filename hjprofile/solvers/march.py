@@ -14,7 +14,7 @@ from hjprofile.problem.grid import Grid
 from hjprofile.solvers.run import Array, Monitor, State
 
 STEP_FLOOR = 1e-9  # of the run's end: more steps than this allows would take days
-OBSERVATIONS = 512  # states that monitors see, beside the snapshots: kink paths then have many points per cell crossed
+OBSERVE_EVERY = 6  # steps, so that between two states that monitors see nothing moves further than six cells
 
 
 class Scheme(Protocol):
@@ -103,14 +103,13 @@ def march(
     watch(speed)
     if kept[0] == 0.0:
         save()
-    mark = interval = problem.end / OBSERVATIONS
     dt = 0.0
     try:
         for target in np.unique(np.append(kept[kept > 0.0], problem.end if problem.end else [])):
             while t < target:
                 started = time.perf_counter()
-                stop = min(mark, target)
-                while t < stop:
+                seen = steps
+                while t < target and steps < seen + OBSERVE_EVERY:
                     dt = cfl * scheme.cfl_limit * grid.dx / speed
                     remaining = target - t
                     if dt >= remaining:
@@ -125,8 +124,6 @@ def march(
                     steps += 1
                     shortest, longest = min(shortest, dt), max(longest, dt)
                 seconds += time.perf_counter() - started
-                while mark <= t:
-                    mark += interval
                 watch(speed)
             if target in kept:
                 save()
@@ -143,10 +140,11 @@ def march(
 
 
 def _small_step_sentence(scheme: Scheme, problem: Problem, grid: Grid, t: float, dt: float, speed: float) -> str:
-    fastest = int(np.argmax(np.maximum(scheme.K[1:], scheme.K[:-1]) * problem.law.derivative(scheme.q)))
+    K = np.maximum(scheme.K[1:], scheme.K[:-1])
+    fastest = int(np.argmax(K * problem.law.derivative(scheme.q)))
     return (
         f"stopped at t = {t:.6g}: the time step {dt:.3g} fell below {STEP_FLOOR:g} of the run, since K f' = "
-        f"{speed:.3g} at x = {grid.centres[fastest]:.6g} (K = {scheme.K[fastest]:.3g}, q = {scheme.q[fastest]:.6g}); "
+        f"{speed:.3g} at x = {grid.centres[fastest]:.6g} (K = {K[fastest]:.3g}, q = {scheme.q[fastest]:.6g}); "
         "use fewer cells or an earlier end"
     )
 

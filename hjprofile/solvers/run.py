@@ -27,7 +27,7 @@ class State(NamedTuple):
 
 
 class Monitor(Protocol):
-    """Watches a run from outside; sees about 500 states, each snapshot among them."""
+    """Watches a run from outside; sees every few steps, and each snapshot."""
 
     def observe(self, state: State) -> None: ...
 

@@ -1,0 +1,12 @@
+"""Every compiled loop: arrays and floats in, arrays and floats out. The only room that knows numba."""
+
+import numba
+
+
+def compiled(function):
+    """numba.njit with a cache on disk where there is a writable place for it."""
+    # error_model="numpy": without the check for division by zero loops vectorise
+    try:
+        return numba.njit(cache=True, error_model="numpy")(function)
+    except RuntimeError:  # no place for the cache
+        return numba.njit(error_model="numpy")(function)

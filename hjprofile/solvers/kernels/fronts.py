@@ -1,0 +1,480 @@
+"""Loops of front tracking.
+
+I = W + R(q) is constant between fronts; there r = R(q) obeys (ln r)_x = -f and K/r is constant (theory, §5). A law
+enters as f over rho = ln r: a piecewise polynomial `table` (pieces, 8) on pieces of equal `width` from `start`, in the
+local variable of [-1, 1]. An empty table stands for the rational law, r = 1 + q. Lengths up to `near` are crossed by a
+Taylor series where the law is a table.
+"""
+
+import math
+
+import numpy as np
+
+from hjprofile.solvers.kernels import compiled
+
+
+@compiled
+def law_f(rho, table, start, width):
+    """f at rho."""
+    s = (rho - start) / width
+    piece = min(max(int(s), 0), table.shape[0] - 1)
+    z = 2.0 * (s - piece) - 1.0
+    value = table[piece, 7]
+    for k in range(6, -1, -1):
+        value = value * z + table[piece, k]
+    return value
+
+
+@compiled
+def law_derivatives(rho, table, start, width):
+    """f, df/drho and d²f/drho² at rho."""
+    s = (rho - start) / width
+    piece = min(max(int(s), 0), table.shape[0] - 1)
+    z = 2.0 * (s - piece) - 1.0
+    value, first, second = table[piece, 7], 0.0, 0.0
+    for k in range(6, -1, -1):
+        second = second * z + first
+        first = first * z + value
+        value = value * z + table[piece, k]
+    return value, first * (2.0 / width), 2.0 * second * (2.0 / width) ** 2
+
+
+@compiled
+def law_flow(rho, h, near, table, start, width):
+    """rho at a distance h (of either sign) to the right, where I is constant.
+
+    Third-order Taylor for |h| <= near, else classical Runge-Kutta in steps of 1/200: 1e-11 a unit of length.
+    """
+    if abs(h) <= near:
+        f, f1, f2 = law_derivatives(rho, table, start, width)
+        return rho - h * f * (1.0 - 0.5 * h * (f1 - h / 3.0 * (f1 * f1 + f * f2)))
+    steps = 1 + int(200.0 * abs(h))
+    d = h / steps
+    for _ in range(steps):
+        k1 = law_f(rho, table, start, width)
+        k2 = law_f(rho - 0.5 * d * k1, table, start, width)
+        k3 = law_f(rho - 0.5 * d * k2, table, start, width)
+        k4 = law_f(rho - d * k3, table, start, width)
+        rho -= d / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+    return rho
+
+
+@compiled
+def law_decay(r, h, near, table, start, width):
+    """r at a distance h (of either sign) to the right, where I is constant."""
+    if table.shape[0] == 0:
+        return 1.0 + (r - 1.0) * math.exp(-h)
+    return math.exp(law_flow(math.log(r), h, near, table, start, width))
+
+
+@compiled
+def law_q_f(r, table, start, width):
+    """q and f at r."""
+    if table.shape[0] == 0:
+        return r - 1.0, 1.0 - 1.0 / r
+    f = law_f(math.log(r), table, start, width)
+    return f * r, f
+
+
+@compiled
+def top_front(x, n):
+    """The front whose piece on the right holds x = 0."""
+    top = n - 1
+    while top > 0 and x[top] > 0.0:
+        top -= 1
+    return top
+
+
+@compiled
+def sweep(x, jump, n, top, r0, near, table, start, width, r_left, r_right, slope, K):
+    """One-sided r, slope = [f]/[q] and K at the first n fronts: a sweep right for r, one left for K with K(0) = 1.
+
+    `jump` holds the jumps of I, r0 = R(0) is r on the far left, x = 0 lies right of front `top`. Positions may be out
+    of order: pieces of negative length continue the same formula.
+    """
+    if table.shape[0] == 0:
+        q = r0 - 1.0
+        for j in range(n):
+            r_left[j] = 1.0 + q
+            q += jump[j]
+            r_right[j] = 1.0 + q
+            slope[j] = 1.0 / (r_left[j] * r_right[j])
+            if j < n - 1:
+                q *= math.exp(x[j] - x[j + 1])
+    else:
+        rho, r = math.log(r0), r0
+        for j in range(n):
+            f_left = law_f(rho, table, start, width)
+            r_left[j] = r
+            r_right[j] = r + jump[j]
+            rho_right = math.log(r_right[j])
+            f, f1, f2 = law_derivatives(rho_right, table, start, width)
+            if abs(rho_right - rho) > 1e-5:
+                slope[j] = (f - f_left) / (f * r_right[j] - f_left * r)
+            else:  # df/dq, in the middle to first order: error 1e-10
+                middle = 0.5 * (rho_right - rho)
+                slope[j] = (f1 - middle * f2) / ((f1 + f - middle * (f1 + f2)) * r_right[j] * (1.0 - middle))
+            if j < n - 1:
+                h = x[j + 1] - x[j]
+                if abs(h) <= near:  # as in `law_flow`, whose derivatives of f are at hand
+                    rho = rho_right - h * f * (1.0 - 0.5 * h * (f1 - h / 3.0 * (f1 * f1 + f * f2)))
+                else:
+                    rho = law_flow(rho_right, h, near, table, start, width)
+                r = math.exp(rho)
+    if n > 0:
+        K[top] = r_right[top] / law_decay(r_right[top], -x[top], near, table, start, width)
+    for j in range(top - 1, -1, -1):
+        K[j] = K[j + 1] * r_right[j] / r_left[j + 1]
+    for j in range(top + 1, n):
+        K[j] = K[j - 1] * r_left[j] / r_right[j - 1]
+
+
+@compiled
+def speeds(x, jump, n, top, r0, near, table, start, width, r_left, r_right, K, speed):
+    """x' = K [f]/[q] of the first n fronts."""
+    sweep(x, jump, n, top, r0, near, table, start, width, r_left, r_right, speed, K)
+    for j in range(n):
+        speed[j] *= K[j]
+
+
+@compiled
+def meeting(xa, ra, xb, rb, jump, near, table, start, width):
+    """Where the piece left of front a and the piece right of front b have the same W; `jump` is I_b - I_a between them.
+
+    There a merged front keeps W continuous and the mass to its right unchanged.
+    """
+    if table.shape[0] == 0:
+        # 1 + (rb-1) e^{-(x-xb)} - 1 - (ra-1) e^{-(x-xa)} = jump; distances from the middle
+        m = 0.5 * (xa + xb)
+        ratio = ((rb - 1.0) * math.exp(xb - m) - (ra - 1.0) * math.exp(xa - m)) / jump
+        x = m + math.log(ratio) if ratio > 0.0 else m
+    else:
+        x = 0.5 * (xa + xb)
+        for _ in range(4):
+            r1 = law_decay(ra, x - xa, near, table, start, width)
+            r2 = law_decay(rb, x - xb, near, table, start, width)
+            dq = law_q_f(r2, table, start, width)[0] - law_q_f(r1, table, start, width)[0]
+            if dq == 0.0:
+                break
+            x += (r2 - r1 - jump) / dq
+    # Between xa and xb if both fronts jump the same way, outside if they do not; a front whose net jump vanishes has no
+    # place of its own.
+    m, most = 0.5 * (xa + xb), 20.0 * abs(xa - xb)
+    return min(max(x, m - most), m + most) if x == x else m
+
+
+@compiled
+def note(log, logged, t, kink, into, x):
+    """Adds a row to the log if there is room."""
+    if logged < log.shape[0]:
+        log[logged, 0], log[logged, 1], log[logged, 2], log[logged, 3] = t, kink, into, x
+        return logged + 1
+    return logged
+
+
+@compiled
+def merge(
+    x, jump, label, since, smooth, speed, n, t, r_left, r_right, near, table, start, width, merged, head, log, logged
+):
+    """Merges fronts that are out of order, also several at once; returns how many are left and the events logged.
+
+    `since` is when a front first merged, `label` its number if it is a kink. `merged` (rows x, jump, label, since,
+    speed) and `head` are workspace; `log` takes rows (t, kink, into, x), t being when two kinks met within the step.
+    """
+    m = 0
+    for j in range(n):
+        xj, dj, lj, sj, vj, first = x[j], jump[j], label[j], since[j], speed[j], j
+        while m > 0 and merged[0, m - 1] > xj:
+            m -= 1
+            first = head[m]
+            other, closing, overlap = int(merged[2, m]), merged[4, m] - vj, merged[0, m] - xj
+            dj += merged[1, m]
+            sj = min(sj, merged[3, m], t)
+            xj = meeting(x[first], r_left[first], x[j], r_right[j], dj, near, table, start, width)
+            if other > 0 and lj > 0:
+                ago = overlap / closing if closing > 0.0 else 0.0
+                logged = note(log, logged, t - ago, max(lj, other), min(lj, other), xj - ago * vj)
+                lj = min(lj, other)
+            elif other > 0:
+                lj, vj = other, merged[4, m]
+        merged[0, m], merged[1, m], merged[2, m], merged[3, m], merged[4, m] = xj, dj, lj, sj, vj
+        head[m] = first
+        m += 1
+    if m < n:
+        for j in range(m):
+            last = head[j + 1] - 1 if j + 1 < m else n - 1
+            x[j], jump[j], label[j], since[j] = merged[0, j], merged[1, j], int(merged[2, j]), merged[3, j]
+            speed[j], smooth[j], r_left[j], r_right[j] = merged[4, j], smooth[last], r_left[head[j]], r_right[last]
+    return m, logged
+
+
+@compiled
+def note_events(x, jump, label, since, strong, speed, n, t, log, logged, totals):
+    """Numbers the kinks that were born, drops the fronts that left; returns how many fronts and events there are.
+
+    A front that has merged is a kink once its jump is above `strong`; it was born when it first merged.
+    """
+    for j in range(n):
+        if label[j] == 0 and since[j] <= t and jump[j] > strong:
+            totals[3] += 1.0
+            label[j] = int(totals[3])
+            logged = note(log, logged, since[j], totals[3], 0.0, x[j] - (t - since[j]) * speed[j])
+    while n > 0 and x[n - 1] >= 0.0:
+        n -= 1
+        if label[n] > 0:
+            logged = note(log, logged, t - x[n] / speed[n], label[n], -1.0, 0.0)
+    return n, logged
+
+
+@compiled
+def advance(
+    x, jump, label, since, smooth, n, t, end, reach, r0, near, table, start, width, strong, work, head, log, totals
+):
+    """Classical Runge-Kutta steps to `end` for the first n fronts, merging after each step and dropping those at x > 0.
+
+    A step takes the fastest front no further than `reach`. `totals` holds ∫(K_left - 1) dt, ∫F(0) dt, the number of
+    steps and the highest label. Returns n and the number of rows in `log`: (t, kink, into, x), into = 0 a birth, -1 an
+    exit.
+    """
+    logged = 0
+    k1, k2, k3, k4, y, r_left, r_right, K = work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7]
+    while t < end:
+        if n == 0:
+            break
+        speeds(x, jump, n, top_front(x, n), r0, near, table, start, width, r_left, r_right, K, k1)
+        fastest = 0.0
+        for j in range(n):
+            fastest = max(fastest, k1[j])
+        dt = reach / fastest
+        if dt >= end - t:
+            dt = end - t
+        elif 2.0 * dt > end - t:
+            dt = 0.5 * (end - t)
+        growth, outflow = K[0] - 1.0, outflow_at(x, top_front(x, n), r_right, near, table, start, width)
+        for j in range(n):
+            y[j] = x[j] + 0.5 * dt * k1[j]
+        speeds(y, jump, n, top_front(y, n), r0, near, table, start, width, r_left, r_right, K, k2)
+        growth += 2.0 * (K[0] - 1.0)
+        outflow += 2.0 * outflow_at(y, top_front(y, n), r_right, near, table, start, width)
+        for j in range(n):
+            y[j] = x[j] + 0.5 * dt * k2[j]
+        speeds(y, jump, n, top_front(y, n), r0, near, table, start, width, r_left, r_right, K, k3)
+        growth += 2.0 * (K[0] - 1.0)
+        outflow += 2.0 * outflow_at(y, top_front(y, n), r_right, near, table, start, width)
+        for j in range(n):
+            y[j] = x[j] + dt * k3[j]
+        speeds(y, jump, n, top_front(y, n), r0, near, table, start, width, r_left, r_right, K, k4)
+        growth += K[0] - 1.0
+        outflow += outflow_at(y, top_front(y, n), r_right, near, table, start, width)
+        for j in range(n):
+            x[j] += dt / 6.0 * (k1[j] + 2.0 * (k2[j] + k3[j]) + k4[j])
+        totals[0] += dt / 6.0 * growth
+        totals[1] += dt / 6.0 * outflow
+        totals[2] += 1.0
+        t = end if dt == end - t else t + dt
+        sweep(x, jump, n, top_front(x, n), r0, near, table, start, width, r_left, r_right, k1, K)
+        for j in range(n):
+            k1[j] *= K[j]
+        n, logged = merge(
+            x, jump, label, since, smooth, k1, n, t, r_left, r_right, near, table, start, width,
+            work[8:], head, log, logged,
+        )  # fmt: skip
+        n, logged = note_events(x, jump, label, since, strong, k1, n, t, log, logged, totals)
+    return n, logged
+
+
+@compiled
+def outflow_at(x, top, r_right, near, table, start, width):
+    """F = f(q) at x = 0, right of front `top`."""
+    return law_q_f(law_decay(r_right[top], -x[top], near, table, start, width), table, start, width)[1]
+
+
+@compiled
+def read(x, jump, label, smooth, n, r0, near, table, start, width, r_left, r_right, slope, K, nodes, W_out, K_out):
+    """W and K at `nodes` (increasing). Sweeps first.
+
+    Between two fronts of a `smooth` stretch: cubic Hermite of W and ln K with the means of the one-sided q and f as
+    slopes (second order; the pieces themselves would make q first order). Beside a kink its own one-sided values;
+    elsewhere the piece, which is exact.
+    """
+    sweep(x, jump, n, n - 1, r0, near, table, start, width, r_left, r_right, slope, K)
+    W = 0.0  # at front j
+    I = r0  # right of front j
+    j = -1
+    at, r = 0.0, r0
+    for i in range(nodes.size):
+        while j + 1 < n and x[j + 1] <= nodes[i]:
+            j += 1
+            W = I - r_left[j]
+            I += jump[j]
+            at, r = x[j], r_right[j]
+        if j < 0:
+            W_out[i], K_out[i] = 0.0, K[0] if n > 0 else 1.0
+            continue
+        if j + 1 < n and smooth[j] and x[j + 1] > x[j]:
+            h = x[j + 1] - x[j]
+            qa, fa = law_q_f(r_right[j], table, start, width)
+            qb, fb = law_q_f(r_left[j + 1], table, start, width)
+            W1 = I - r_left[j + 1]
+            if label[j] == 0:
+                q, f = law_q_f(r_left[j], table, start, width)
+                qa, fa = 0.5 * (qa + q), 0.5 * (fa + f)
+            if label[j + 1] == 0:
+                q, f = law_q_f(r_right[j + 1], table, start, width)
+                qb, fb = 0.5 * (qb + q), 0.5 * (fb + f)
+            s = (nodes[i] - x[j]) / h
+            value, slope_a, slope_b = s * s * (3.0 - 2.0 * s), h * s * (1.0 - s) ** 2, h * s * s * (s - 1.0)
+            W_out[i] = W + (W1 - W) * value + slope_a * qa + slope_b * qb
+            exponent = math.log(K[j + 1] / K[j]) * value - slope_a * fa - slope_b * fb
+            K_out[i] = K[j] * math.exp(exponent)
+        else:
+            r = law_decay(r, nodes[i] - at, near, table, start, width)  # from node to node along the piece
+            at = nodes[i]
+            W_out[i], K_out[i] = I - r, K[j] * r / r_right[j]
+
+
+@compiled
+def volume(x, jump, n, r0, near, table, start, width, r_right):
+    """∫W dx, by five-point Gauss-Legendre on every piece (in parts of at most 1/4)."""
+    if n == 0:
+        return 0.0
+    z = (-0.906179845938664, -0.5384693101056831, 0.0, 0.5384693101056831, 0.906179845938664)
+    w = (0.23692688505618908, 0.47862867049936647, 0.5688888888888889, 0.47862867049936647, 0.23692688505618908)
+    total, I = 0.0, r0
+    for j in range(n):
+        I += jump[j]
+        h = (x[j + 1] if j + 1 < n else 0.0) - x[j]
+        parts = 1 + int(4.0 * abs(h))
+        d, r = h / parts, r_right[j]
+        for _ in range(parts):
+            for k in range(5):
+                s = 0.5 * d * (1.0 + z[k])
+                total += 0.5 * d * w[k] * (I - law_decay(r, s, near, table, start, width))
+            r = law_decay(r, d, near, table, start, width)
+    return total
+
+
+@compiled
+def rates_of(y, jump, n, r0, table, start, width, work, rate):
+    """Speeds of n fronts, then K_left - 1 and F(0): the state y is their places and the integrals of these two.
+
+    The last piece is continued to x = 0 even where a trial step takes the last front beyond: so the rate is smooth.
+    """
+    speeds(y, jump, n, n - 1, r0, 0.0, table, start, width, work[0], work[1], work[2], rate)
+    rate[n] = work[2, 0] - 1.0
+    rate[n + 1] = outflow_at(y, n - 1, work[1], 0.0, table, start, width)
+
+
+@compiled
+def least_gap(y, n):
+    """The least distance of two neighbours or of the last front from x = 0; negative where an event has passed."""
+    gap = -y[n - 1]
+    for j in range(n - 1):
+        gap = min(gap, y[j + 1] - y[j])
+    return gap
+
+
+@compiled
+def dop853_step(y, rates, dt, jump, n, r0, table, start, width, A, B, work, stage, out):
+    """One step of Dormand and Prince's method of order 8; rates[0] is the rate at y."""
+    m = n + 2
+    for s in range(1, 12):
+        for i in range(m):
+            slope = 0.0
+            for k in range(s):
+                slope += A[s, k] * rates[k, i]
+            stage[i] = y[i] + dt * slope
+        rates_of(stage, jump, n, r0, table, start, width, work, rates[s])
+    for i in range(m):
+        slope = 0.0
+        for k in range(12):
+            slope += B[k] * rates[k, i]
+        out[i] = y[i] + dt * slope
+
+
+@compiled
+def advance_exactly(
+    x, jump, label, since, smooth, n, t, end, r0, table, start, width,
+    A, B, E3, E5, tolerance, strong, work, head, log, totals,
+):  # fmt: skip
+    """As `advance`, but to `tolerance`: adaptive steps of order 8, and each merge and exit found in its own time.
+
+    The root of an event is found on the fraction of the step; every evaluation is a step, so an event has full order.
+    """
+    logged = 0
+    rates, y, stage, new = np.empty((13, n + 2)), np.empty(n + 2), np.empty(n + 2), np.empty(n + 2)
+    dt = 0.01 * (end - t)
+    while t < end and n > 0:
+        m = n + 2
+        for j in range(n):
+            y[j] = x[j]
+        y[n], y[n + 1] = totals[0], totals[1]
+        rates_of(y, jump, n, r0, table, start, width, work, rates[0])
+        dt = min(dt, end - t)
+        while True:
+            dop853_step(y, rates, dt, jump, n, r0, table, start, width, A, B, work, stage, new)
+            rates_of(new, jump, n, r0, table, start, width, work, rates[12])
+            fifth = third = 0.0
+            for i in range(m):
+                e5 = e3 = 0.0
+                for k in range(13):
+                    e5 += E5[k] * rates[k, i]
+                    e3 += E3[k] * rates[k, i]
+                fifth, third = max(fifth, abs(e5)), max(third, abs(e3))
+            error = dt * fifth * fifth / math.sqrt(fifth * fifth + 0.01 * third * third + 1e-300) / tolerance
+            if dt < 1e-14 * end:
+                break
+            if error > 1.0:
+                dt *= max(0.2, 0.9 * error**-0.125)
+            elif least_gap(new, n) < 0.0 and least_gap(y, n) <= 0.0:
+                dt *= 0.1  # a fan has yet to open: no bracket for the event
+            else:
+                break
+        used = dt
+        passed = least_gap(new, n) < 0.0
+        if passed:  # Illinois' rule of false position between the fractions `low` and `high` of the step
+            low, high, side = 0.0, 1.0, 0
+            g_low, g_high = max(least_gap(y, n), 0.0), least_gap(new, n)
+            for _ in range(100):
+                if high - low <= 1e-15 or g_low <= 0.0:
+                    break
+                theta = low + (high - low) * g_low / (g_low - g_high)
+                dop853_step(y, rates, theta * dt, jump, n, r0, table, start, width, A, B, work, stage, new)
+                g = least_gap(new, n)
+                if abs(g) < 1e-15:
+                    high = theta
+                    break
+                if g > 0.0:
+                    low, g_low = theta, g
+                    if side == 1:
+                        g_high *= 0.5
+                    side = 1
+                else:
+                    high, g_high = theta, g
+                    if side == -1:
+                        g_low *= 0.5
+                    side = -1
+            used = high * dt
+            dop853_step(y, rates, used, jump, n, r0, table, start, width, A, B, work, stage, new)
+        t = end if used == end - t else t + used
+        for j in range(n):
+            x[j] = new[j]
+        totals[0], totals[1], totals[2] = new[n], new[n + 1], totals[2] + 1.0
+        if passed:
+            rates_of(new, jump, n, r0, table, start, width, work, rates[12])
+            for j in range(n - 1):  # those that met, to the accuracy of the root; a fan that has yet to open has not
+                if x[j + 1] - x[j] < 1e-13 and rates[12, j] > rates[12, j + 1]:
+                    x[j] = x[j + 1] + 1e-15
+            if x[n - 1] > -1e-14:
+                x[n - 1] = 0.0
+            sweep(x, jump, n, n - 1, r0, 0.0, table, start, width, work[0], work[1], work[3], work[2])
+            n, logged = merge(
+                x, jump, label, since, smooth, rates[12], n, t, work[0], work[1], 0.0, table, start, width,
+                work[3:], head, log, logged,
+            )  # fmt: skip
+            n, logged = note_events(x, jump, label, since, strong, rates[12], n, t, log, logged, totals)
+        if error > 0.0:
+            dt *= min(2.0, 0.9 * error**-0.125)
+        else:
+            dt *= 2.0
+    return n, logged

@@ -1,0 +1,334 @@
+"""The command line when all goes well, and when a check fails: what it writes, prints and returns."""
+
+import dataclasses
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomli_w
+
+import hjprofile
+from hjprofile import cli
+from hjprofile.output.store import load_run
+from hjprofile.problem.case import load_case, shipped_cases
+from hjprofile.solvers import hj
+from hjprofile.solvers.methods import solve_case
+
+SCENE = {
+    "title": "Zwei Knicke",
+    "erosion": {"law": "rational"},
+    "profile": {"kind": "kinks", "positions": [-3.0, -2.0], "amplitudes": [0.4, 1.2]},
+    "domain": {"left": -4.0, "cells": 160},
+    "time": {"end": 4.0, "snapshots": 5},
+}
+BARE = {"output": {"vtk": False, "plots": False}}
+COMMANDS = ("run", "check", "plot", "export", "cases")
+
+
+def write_case(folder, name="scene", **changes):
+    path = folder / f"{name}.toml"
+    path.write_text(tomli_w.dumps(SCENE | changes), encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def folder(in_tmp):
+    write_case(in_tmp)
+    write_case(in_tmp, "bare", **BARE)
+    return in_tmp
+
+
+@pytest.fixture
+def call(capsys):
+    """Runs a command in this process; exit code, stdout, stderr."""
+
+    def call(*arguments):
+        with pytest.raises(SystemExit) as left:
+            cli.main([str(a) for a in arguments])
+        return left.value.code, *capsys.readouterr()
+
+    return call
+
+
+def contents(folder):
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in Path(folder).rglob("*") if p.is_file()}
+
+
+def test_run_then_plot_and_export_again(folder, call):
+    code, out, err = call("run", "scene.toml")
+    assert (code, err) == (0, "")
+    run = load_run("results/scene")
+    assert np.array_equal(run.u, solve_case(load_case("scene.toml")).u)
+    written = contents("results/scene")
+    assert {"profile.nc", "summary.json", "profile.png", "vtk/sheet.vtr"} < written.keys()
+
+    lines = out.splitlines()
+    assert lines[0] == "Zwei Knicke"
+    assert [line.split()[0] for line in lines[1:]] == ["solved", "eroded", "kinks", "budgets", "bounds", "written"]
+    assert f"local-lax-friedrichs, 160 cells, {run.steps} steps" in lines[1] and lines[1].endswith("to t = 4")
+    assert f"volume {run.eroded_volume:.6g} eroded" in lines[2]
+    assert "2 at first, 0 at last; 0 births, 1 merge, 1 exit" in lines[3]
+    assert f"mass to rounding; volume to {run.volume_budget_error:.2g} (first order in dx)" in lines[4]
+    assert lines[5].endswith("all hold")
+    assert "results/scene: profile.nc" in lines[6] and "vtk/ (13 files)" in lines[6] and "profile.png" in lines[6]
+
+    # from the folder alone, into it or elsewhere, to the byte
+    for file in ("profile.png", "vtk/profile_0002.vtp", "vtk/kinks.pvd"):
+        Path("results/scene", file).unlink()
+    code, out, err = call("plot", "results/scene")
+    assert (code, err, out.split()) == (0, "", ["results/scene/profile.png", "results/scene/diagram.png"])
+    code, out, err = call("export", "results/scene", "--vtk")
+    assert (code, err) == (0, "") and out.startswith("results/scene/vtk: ")
+    assert contents("results/scene") == written
+    assert call("export", "results/scene", "--vtk", "--out", "paraview")[0] == 0
+    assert contents("paraview") == {name[4:]: data for name, data in written.items() if name.startswith("vtk/")}
+    assert call("plot", "results/scene", "--out", "pictures")[0] == 0
+    assert contents("pictures") == {name: data for name, data in written.items() if name.endswith(".png")}
+
+
+def test_options_override_the_case(folder, call):
+    options = {"--method": "godunov", "--cells": 50, "--cfl": 0.5, "--end": 0.25, "--out": "elsewhere/deep"}
+    code, out, _ = call("run", "bare.toml", *[part for pair in options.items() for part in pair])
+    assert code == 0 and "godunov, 50 cells" in out and "to t = 0.25" in out
+    run = load_run("elsewhere/deep")
+    assert (run.method, run.cells, run.time[-1], run.time.size) == ("godunov", 50, 0.25, 5)
+    assert run.case["solver"] == {"method": "godunov", "cfl": 0.5}
+    assert not Path("results").exists()
+    assert call("run", "bare.toml")[0] == 0  # and leave it alone
+    assert (load_run("results/bare").method, load_run("results/bare").cells) == ("local-lax-friedrichs", 160)
+
+
+def test_nothing_but_data_where_the_case_says_so(folder, call):
+    code, out, _ = call("run", "bare.toml")
+    assert contents("results/bare").keys() == {"profile.nc", "kinks.csv", "events.csv", "summary.json"}
+    assert code == 0 and "written     results/bare: profile.nc, kinks.csv, events.csv, summary.json\n" in out
+
+
+def test_a_shipped_case_by_name_and_its_survey_units(in_tmp, call):
+    code, out, err = call("run", "hillslope", "--cells", "260", "--end", "0.1")
+    assert (code, err) == (0, "")
+    run = load_run("results/hillslope")
+    assert f"to t = 0.1 = {0.1 * 200**2 * 0.257:.4g} in the survey's units" in out
+    assert f"({abs(run.eroded_volume) * 200**2 * 0.257:.4g} in the survey's units, per unit width)" in out
+
+
+def test_the_account_says_what_was_done_to_the_data(folder, call):
+    (folder / "slope.csv").write_text("x,height\n0,0\n100,60\n200,50\n300,200\n")
+    survey = {"kind": "survey", "file": "slope.csv", "critical_slope": 0.6, "length": 100.0, "repair": "isotonic"}
+    write_case(folder, "survey", profile=survey, **BARE)
+    _, out, _ = call("run", "survey.toml", "--end", "0.1")
+    assert out.splitlines()[1].startswith("  data        survey repaired: ")
+
+
+def test_the_account_says_which_bounds_were_not_held(folder, call):
+    code, out, _ = call("run", "bare.toml", "--method", "godunov", "--cfl", "2")
+    broken = [name for name, b in load_run("results/bare").bounds.items() if not b.holds]
+    assert code == 0 and broken and f"  bounds      NOT HELD: {', '.join(broken)}\n" in out
+    run = load_run("results/bare")
+    lost = {"mass_budget": run.bounds["mass_budget"]._replace(holds=False)}
+    assert "mass NOT KEPT" in cli._account(dataclasses.replace(run, bounds={**run.bounds, **lost}))
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help(call, command):
+    code, out, err = call(command, "--help")
+    assert (code, err) == (0, "") and f"hjprofile {command}" in out
+    assert getattr(cli, command).__doc__.splitlines()[0].rstrip(".") in " ".join(out.split())
+
+
+def test_help_names_every_option_and_command(call):
+    assert all(option in call("run", "--help")[1] for option in ("--method", "--cells", "--cfl", "--end", "--out"))
+    code, out, _ = call("--help")
+    assert code == 0 and re.findall(r"^│ (\w+)", out, re.MULTILINE) == sorted(COMMANDS)
+    assert call()[:2] == (0, out)
+
+
+def test_version(call):
+    assert call("--version") == (0, f"{hjprofile.__version__}\n", "")
+
+
+@pytest.mark.parametrize("arguments", [["run", "scene.toml", "--cels", "3"], ["rum", "scene.toml"], ["plot", "."]])
+def test_wrong_usage(folder, call, arguments):
+    code, out, err = call(*arguments)
+    assert (code, out, err.count("\n")) == (2, "", 1) and err.startswith("hjprofile: ")
+
+
+def test_cases(call):
+    code, out, err = call("cases")
+    assert (code, err) == (0, "")
+    listed = dict(line.split(maxsplit=1) for line in out.splitlines())
+    files = sorted((Path(__file__).parent.parent / "cases").glob("*.toml"))
+    assert listed == {f.stem: tomllib.loads(f.read_text(encoding="utf-8"))["title"] for f in files}
+    assert listed.keys() == shipped_cases().keys() and len(listed) >= 5
+
+
+def strict(path):
+    return json.loads(Path(path).read_text(), parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+
+
+SHORT = {"time": {"end": 0.25, "snapshots": 2}, "title": "Kurz"}  # orders are those of longer runs
+
+
+def test_check_passes(folder, call):
+    write_case(folder, "short", **SHORT)
+    code, out, err = call("check", "short.toml")
+    assert (code, err) == (0, "")
+    content = strict("results/short/check.json")
+    (case,) = content["cases"]
+    assert (case["case"], case["title"], case["passes"], content["passes"]) == ("short", "Kurz", True, True)
+    lines = out.splitlines()
+    assert lines[0] == "short: passes" and lines[-1] == "written to results/short/check.json"
+    kinds = {"bounds", "identity", "independence", "kinks", "extrapolation", "budget"}
+    assert {c["name"].split(":")[0] for c in case["comparisons"]} == kinds
+    for c in case["comparisons"]:
+        assert c["passes"] is True and len(c["cells"]) == len(c["error"]) > 0
+        assert all(isinstance(n, int) for n in c["cells"]) and all(isinstance(e, float) for e in c["error"])
+        assert isinstance(c["threshold"], float) and isinstance(c["order"], float | None)
+        printed = [line for line in lines if f" {c['name']} " in line]
+        assert len(printed) == (not c["name"].startswith("bounds:"))  # bounds only where they fail
+        assert all(line.startswith("  passes") for line in printed)
+
+
+def test_check_fails_and_says_where(folder, call, monkeypatch):
+    """One flux that is 1 % too large: of all methods only that one is to blame."""
+
+    def faulty(s, speed):
+        hj.flux_godunov(s, speed)
+        s.F *= 1.01
+
+    monkeypatch.setattr(hj, "FLUXES", {**hj.FLUXES, "godunov": faulty})
+    write_case(folder, "short", **SHORT)
+    write_case(folder, "flat", profile={"kind": "steps", "edges": [-2.0, -1.0], "values": [0.0]}, **SHORT)
+    code, out, err = call("check", "short.toml", "flat.toml", "--out", "verdict")
+    assert code == 1 and err.count("\n") == 1
+    assert err.startswith("hjprofile: the consistency test fails on short;")
+    content = strict("verdict/check.json")
+    assert content["passes"] is False
+    assert {case["case"]: case["passes"] for case in content["cases"]} == {"short": False, "flat": True}
+    failed = {c["name"] for c in content["cases"][0]["comparisons"] if not c["passes"]}
+    assert {"identity:godunov", "independence:godunov:u"} <= failed and all("godunov" in name for name in failed)
+    assert {line.split()[1] for line in out.splitlines() if line.startswith("  FAILS ")} == failed
+    assert "short: FAILS" in out and "flat: passes" in out
+
+
+@pytest.mark.parametrize(
+    ("raised", "words"), [(KeyboardInterrupt(), "interrupted"), (MemoryError(), "memory is not enough")]
+)
+def test_what_stops_a_run_from_outside(folder, call, monkeypatch, raised, words):
+    def stopped(*_):
+        raise raised
+
+    monkeypatch.setattr("hjprofile.solvers.methods.solve_case", stopped)
+    code, out, err = call("run", "scene.toml")
+    assert (code, out, err.count("\n")) == (1, "", 1) and words in err
+    assert not contents("results")
+
+
+def process(*arguments, **options):
+    command = [sys.executable, "-m", "hjprofile", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, **options)
+
+
+def test_the_process_and_the_script(folder):
+    done = process("--version")
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"{hjprofile.__version__}\n", "")
+    script = Path(sys.executable).with_name("hjprofile")
+    if script.exists():
+        same = subprocess.run([script, "--version"], capture_output=True, text=True)
+        assert (same.returncode, same.stdout, same.stderr) == (0, done.stdout, "")
+    assert process("rum").returncode == 2
+
+
+def test_a_reader_who_leaves_early(folder):
+    """`hjprofile cases | head -1` is no error to speak of."""
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONUNBUFFERED"}
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run(
+        [sys.executable, "-m", "hjprofile", "cases"], stdout=writing, stderr=subprocess.PIPE, env=environment
+    )
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (1, b"")
+
+
+SLOW_LAW = """
+import time
+import numpy as np
+
+def f(q):
+    if np.size(q) == 160:  # 1400 times in the run, beside what is tried beforehand
+        time.sleep(0.0016)
+    return q / (1 + q)
+"""
+
+
+@pytest.fixture
+def slow(folder):
+    """A case that takes two seconds and more on every machine."""
+    (folder / "slow_law.py").write_text(SLOW_LAW)
+    law = {"law": "python", "file": "slow_law.py", "function": "f"}
+    write_case(folder, "slow", erosion=law, time={"end": 1.5, "snapshots": 2}, **BARE)
+    return "slow.toml"
+
+
+def on_a_terminal(*arguments):
+    """Exit code, stdout, and what a terminal on stderr received."""
+    pty = pytest.importorskip("pty", reason="needs pseudo-terminals")
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-m", "hjprofile", *arguments]
+    environment = os.environ | {"TERM": "xterm", "COLUMNS": "100"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs, env=environment) as running:
+        os.close(theirs)
+        received = b""
+        while True:
+            try:
+                piece = os.read(ours, 4096)
+            except OSError:  # Linux's way to say that the other end was closed
+                break
+            if not piece:
+                break
+            received += piece
+        out = running.stdout.read()
+    os.close(ours)
+    return running.returncode, out.decode(), received.decode()
+
+
+def test_a_long_run_shows_a_bar_on_a_terminal(slow):
+    code, out, err = on_a_terminal("run", slow)
+    assert code == 0 and "eroding" in err
+    shown = [int(percent) for percent in re.findall(r"(\d+)%", err)]
+    assert shown == sorted(shown) and shown[0] < shown[-1] <= 100
+    assert re.search(r"\d:\d\d:\d\d", err)  # the time that is left
+    assert "\x1b" not in out and out.startswith("Zwei Knicke\n") and "%" not in out
+
+
+@pytest.mark.parametrize(
+    ("terminal", "waited", "shown"), [(False, 10.0, False), (True, 0.0, False), (True, 1.01, True)]
+)
+def test_a_bar_is_for_terminals_and_after_a_second(monkeypatch, capsys, terminal, waited, shown):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
+    with cli._Progress("eroding") as progress:
+        progress.started -= waited
+        progress(0.5)
+        assert (progress.bar is not None) == shown
+    assert ("50%" in capsys.readouterr().err) == shown
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--help"], [], ["run", "--help"], ["check", "--help"], ["--version"], ["run", "x", "--cels", "1"]]
+)
+def test_help_is_quick(arguments):
+    """Whatever takes long to import is not imported. This is what keeps it under 0.3 s, on any machine."""
+    heavy = ["numpy", "numba", "scipy", "pyvista", "vtkmodules", "matplotlib", "llvmlite"]
+    program = (
+        "import sys\nfrom hjprofile.cli import main\n"
+        f"try: main({arguments!r})\nexcept SystemExit: print(sorted(set(sys.modules) & set({heavy!r})))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "[]"
