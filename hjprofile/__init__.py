@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from hjprofile.problem.profiles import profile as profile
     from hjprofile.problem.profiles import steady as steady
     from hjprofile.problem.profiles import steps as steps
-    from hjprofile.problem.profiles import survey as survey
+    from hjprofile.problem.survey import survey as survey
+    from hjprofile.solvers.fronts import track_fronts as track_fronts
     from hjprofile.solvers.methods import solve_case as solve_case
     from hjprofile.solvers.methods import solve_conservative as solve_conservative
     from hjprofile.solvers.methods import solve_hj as solve_hj
@@ -49,7 +50,9 @@ _MODULES = {
     "problem.case": ("Case", "load_case", "shipped_cases"),
     "problem.erosion": ("ErosionLaw", "erosion_law", "expression", "log", "power", "rational"),
     "problem.grid": ("Grid",),
-    "problem.profiles": ("bumps", "kinks", "points", "profile", "steady", "steps", "survey"),
+    "problem.profiles": ("bumps", "kinks", "points", "profile", "steady", "steps"),
+    "problem.survey": ("survey",),
+    "solvers.fronts": ("track_fronts",),
     "solvers.methods": ("solve_case", "solve_conservative", "solve_hj"),
     "solvers.run": ("Run",),
 }

@@ -46,18 +46,38 @@ def t2_smooth_solution(t, left=-10.0, labels=8001):
 
 
 def kinks_until_meeting(positions, amplitudes, end):
-    """Kinks of the rational law followed exactly by ODEs until two meet; returns positions(t) as a dense solution.
+    """Kinks of the rational law followed exactly by ODEs until two meet; the positions as a dense solution."""
+    J = [a + w for a, w in zip(amplitudes, _W_at(positions, amplitudes), strict=True)]
+    return _follow(np.array(positions), J, 0.0, end)
 
-    Right of kink j q = A_j e^{-(x - s_j)} with A_j(t) from the invariant: W + 1 + q is constant between kinks.
-    """
-    J = []  # I - 1 in each piece: q + W
-    W, before = 0.0, None
-    for s, a in zip(positions, amplitudes, strict=True):
-        if before is not None:
-            s0, a0 = before
-            W += a0 * (1 - np.exp(-(s - s0)))
-        J.append(W + a)
-        before = (s, a)
+
+def kinks_to_the_end(positions, amplitudes, end):
+    """As above through all merges and exits: a list of (time, event, place), and the positions at the end."""
+    events, t, s = [], 0.0, np.array(positions)
+    J = [a + w for a, w in zip(amplitudes, _W_at(positions, amplitudes), strict=True)]
+    while s.size and t < end:
+        part = _follow(s, J, t, end)
+        t, s = float(part.t[-1]), part.y[:, -1]
+        if part.t_events[0].size:
+            j = int(np.argmin(np.diff(s)))
+            events.append((t, "merge", float(s[j])))
+            s, J = np.delete(s, j), J[:j] + J[j + 1 :]
+        elif part.t_events[1].size:
+            events.append((t, "exit", 0.0))
+            s, J = s[:-1], J[:-1]
+    return events, s
+
+
+def _W_at(positions, amplitudes):
+    """W at each kink: q = A e^{-(x - s)} right of it."""
+    W = [0.0]
+    for s0, s1, a in zip(positions[:-1], positions[1:], amplitudes[:-1], strict=True):
+        W.append(W[-1] + a * (1 - np.exp(-(s1 - s0))))
+    return W
+
+
+def _follow(positions, J, start, end):
+    """Integrates the kinks' places until two meet or one reaches x = 0. J = q + W is constant between kinks."""
 
     def sweep(s):
         """One-sided q at each kink, from left to right."""
@@ -81,9 +101,11 @@ def kinks_until_meeting(positions, amplitudes, end):
         return K / ((1 + left) * (1 + right))
 
     def meet(_, s):
-        return np.min(np.diff(s))
+        return np.min(np.diff(s)) if len(s) > 1 else 1.0
 
-    meet.terminal = True
-    return solve_ivp(
-        rate, (0.0, end), positions, method="DOP853", rtol=1e-12, atol=1e-13, events=meet, dense_output=True
-    )
+    def leave(_, s):
+        return s[-1]
+
+    meet.terminal = leave.terminal = True
+    options = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-13, "dense_output": True}
+    return solve_ivp(rate, (start, end), positions, events=[meet, leave], **options)

@@ -163,4 +163,5 @@ def test_everything_public_has_a_docstring(module):
 
 @pytest.mark.parametrize("module", MODULES)
 def test_no_module_is_too_long(module):
-    assert len(MODULES[module].read_text(encoding="utf-8").splitlines()) <= LONGEST
+    lines = MODULES[module].read_text(encoding="utf-8").count("\n")
+    assert lines <= LONGEST

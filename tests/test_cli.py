@@ -73,7 +73,7 @@ def test_run_then_plot_and_export_again(folder, call):
     assert [line.split()[0] for line in lines[1:]] == ["solved", "eroded", "kinks", "budgets", "bounds", "written"]
     assert f"local-lax-friedrichs, 160 cells, {run.steps} steps" in lines[1] and lines[1].endswith("to t = 4")
     assert f"volume {run.eroded_volume:.6g} eroded" in lines[2]
-    assert "2 at first, 0 at last; 0 births, 1 merge, 1 exit" in lines[3]
+    assert re.search(r" 2 at .*, 0 at .*; 0 births, 1 merge, 1 exit$", lines[3])
     assert f"mass to rounding; volume to {run.volume_budget_error:.2g} (first order in dx)" in lines[4]
     assert lines[5].endswith("all hold")
     assert "results/scene: profile.nc" in lines[6] and "vtk/ (13 files)" in lines[6] and "profile.png" in lines[6]

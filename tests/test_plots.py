@@ -104,6 +104,12 @@ def test_every_axis_has_a_label(name, draw):
         assert all(tick.get_text() for tick in axes.get_yticklabels())
 
 
+@pytest.mark.parametrize(("name", "time"), [("one snapshot", 0.3), ("no time", 0.0), ("failed at once", 0.0)])
+def test_a_single_time_is_the_only_one_on_its_axis(name, time):
+    (bar,) = set(drawn(name, draw_profiles).axes) - set(plain(drawn(name, draw_profiles)))
+    assert list(bar.get_yticks()) == list(plain(drawn(name, draw_diagram))[0].get_yticks()) == [time]
+
+
 @draw
 def test_a_survey_is_drawn_in_its_own_units(draw):
     run = solved("survey")

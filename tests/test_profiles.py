@@ -16,7 +16,6 @@ from hjprofile.problem import Problem
 from hjprofile.problem.erosion import expression, log, power, rational
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import (
-    REPAIR_SLOPE,
     TAIL,
     bumps,
     kinks,
@@ -24,8 +23,8 @@ from hjprofile.problem.profiles import (
     profile,
     steady,
     steps,
-    survey,
 )
+from hjprofile.problem.survey import REPAIR_SLOPE, survey
 
 LAWS = {  # name -> (law, R' in closed form, inverse in closed form)
     "rational": (rational(), lambda q: 1.0, lambda y: y / (1 - y)),

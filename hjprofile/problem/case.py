@@ -14,6 +14,7 @@ import numpy as np
 from hjprofile.errors import InputError
 from hjprofile.problem import Problem, erosion, profiles
 from hjprofile.problem.grid import Grid
+from hjprofile.problem.survey import survey
 
 DEFAULT_METHOD = "local-lax-friedrichs"
 DEFAULT_CFL = 0.9
@@ -146,7 +147,7 @@ _PROFILES: dict[str, tuple[Callable, dict[str, tuple]]] = {
     "points": (profiles.points, {"x": (_list,), "q": (_list,)}),
     "steady": (profiles.steady, {"flux": (_number,), "kink": (_number, None)}),
     "survey": (
-        profiles.survey,
+        survey,
         {"file": (_text,), "critical_slope": (_positive,), "length": (_positive,), "repair": (_text, None)},
     ),
     "python": (

@@ -6,10 +6,8 @@ cell means. W may tend to any constant on the left; only its slope enters the eq
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +17,6 @@ from hjprofile.problem.erosion import Array, ErosionLaw
 from hjprofile.problem.grid import Grid
 
 TAIL = 1e-6  # mass and slope that a grid may cut off on the left; a grid solver's own error is larger
-REPAIR_SLOPE = 0.05  # least slope that a repaired survey keeps, as a fraction of the critical slope
 
 
 def _numbers(name: str, values: Any, least: int = 1) -> Array:
@@ -423,91 +420,3 @@ def steady(flux: float, kink: float | None = None) -> Profile:
 def profile(u: Callable[[Any], Any]) -> Profile:
     """A profile from a Python function u(x), x <= 0."""
     return Given(u)
-
-
-def survey(
-    file: str | Path, critical_slope: float, length: float, repair: str | None = None, base: Path | None = None
-) -> Profile:
-    """A surveyed slope: a CSV file with header `x,height`, x increasing and uphill to the right.
-
-    x and height are divided by `length` (the exchange length, over which an avalanche grows e-fold), height also by
-    `critical_slope`; the last point becomes the origin. The profile is linear between points and has the critical
-    slope left of the first. Raises InputError if the survey descends somewhere, unless `repair` is "isotonic": then
-    it is replaced by the nearest profile (least squares) that rises everywhere by REPAIR_SLOPE of the critical slope.
-    """
-    for name, value in (("critical_slope", critical_slope), ("length", length)):
-        if not (np.isfinite(value) and value > 0):
-            raise InputError(f"{name} = {value} must be a positive number")
-    if repair not in (None, "isotonic"):
-        raise InputError(f"repair = {repair!r} is not known; allowed is 'isotonic'")
-    path = (base or Path()) / file
-    x, height, rows = _read_survey(path)
-    account = ""
-    least = REPAIR_SLOPE * critical_slope if repair else 0.0
-    falls = np.flatnonzero(np.diff(height) <= least * np.diff(x))
-    if falls.size and repair is None:
-        shown = ", ".join(f"{rows[i]}-{rows[i + 1]}" for i in falls[:5]) + (", ..." if falls.size > 5 else "")
-        raise InputError(
-            f"file = {str(file)!r} does not rise in rows {shown}; a survey must rise from left to right "
-            "(mirror it if it falls throughout, or set repair = 'isotonic')"
-        )
-    if falls.size:
-        from scipy.optimize import isotonic_regression
-
-        # a hair above the least slope, so that rounding cannot bring it below
-        tilt = (1 + 1e-9) * least * (x - x[-1])
-        repaired = isotonic_regression(height - tilt).x + tilt
-        moved = np.abs(repaired - height)
-        account = (
-            f"survey repaired: {np.count_nonzero(moved > 1e-9 * (np.ptp(height) - tilt[0]))} of {x.size} points moved, "
-            f"by {moved.max():.3g} at most and {np.sqrt(np.mean(moved**2)):.3g} on average (r.m.s.)"
-        )
-        height = repaired
-    table = {"kind": "survey", "file": str(file), "critical_slope": float(critical_slope), "length": float(length)}
-    if repair:
-        table["repair"] = repair
-    units = Units(float(length), float(critical_slope), float(x[-1]), float(height[-1]))
-    xi = (x - x[-1]) / length
-    u = (height - height[-1]) / (length * critical_slope)
-    q = np.diff(u) / np.diff(xi) - 1.0
-    if not np.all(np.isfinite(q) & (q > -1.0)):
-        raise InputError(
-            f"file = {str(file)!r} divided by length = {length:g} and critical_slope = {critical_slope:g} leaves the "
-            "range of numbers"
-        )
-    return Points(
-        np.repeat(xi, 2)[1:-1], np.repeat(q, 2), source=table, units=units, height=float(u[0] - xi[0]), account=account
-    )
-
-
-def _read_survey(path: Path) -> tuple[Array, Array, list[int]]:
-    """x, height and the row numbers (the header is row 1). Raises InputError naming the row."""
-    try:
-        with open(path, newline="", encoding="utf-8-sig") as stream:
-            lines = [(n, row) for n, row in enumerate(csv.reader(stream), start=1) if row and row[0].strip()[:1] != "#"]
-    except FileNotFoundError:
-        raise InputError(f"file = {str(path)!r} does not exist") from None
-    except (OSError, ValueError, csv.Error) as error:  # ValueError: bytes that are not UTF-8, a NUL in the name
-        raise InputError(f"file = {str(path)!r} cannot be read as CSV: {error}") from None
-    if not lines or [c.strip() for c in lines[0][1]] != ["x", "height"]:
-        found = ",".join(lines[0][1]) if lines else "nothing"
-        raise InputError(f"file = {str(path)!r} must begin with the header 'x,height', not {found!r}")
-    rows: list[int] = []
-    values: list[tuple[float, float]] = []
-    for n, row in lines[1:]:
-        try:
-            x, height = (float(c) for c in row)
-        except ValueError:
-            raise InputError(f"file = {str(path)!r} row {n}: {','.join(row)!r} must be two numbers") from None
-        if not (np.isfinite(x) and np.isfinite(height)):
-            raise InputError(f"file = {str(path)!r} row {n}: {','.join(row)!r} must be finite")
-        if values and x <= values[-1][0]:
-            raise InputError(
-                f"file = {str(path)!r} row {n}: x = {x:g} must be greater than the x = {values[-1][0]:g} before it"
-            )
-        rows.append(n)
-        values.append((x, height))
-    if len(values) < 2:
-        raise InputError(f"file = {str(path)!r} has {len(values)} points; a survey needs at least 2")
-    x, height = np.array(values).T
-    return x, height, rows

@@ -15,13 +15,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy.integrate import DOP853
 
-from hjprofile.errors import InputError
+from hjprofile.errors import InputError, RunError
 from hjprofile.problem import Problem
 from hjprofile.problem.case import DEFAULT_CFL, resolved_case
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Kinks
 from hjprofile.solvers.kernels import fronts as kernels
+from hjprofile.solvers.kernels.exact_fronts import advance_exactly
 from hjprofile.solvers.run import Array, Event, KinkRecord, Run, Verdict
 
 PIECE = 0.05  # width in ln R of the pieces of a law's table: degree 7 leaves (PIECE/4)^8 = 6e-16
@@ -92,9 +93,11 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts,
     else:
         marks = np.unique(np.concatenate([[start], breaks[breaks[:, 0] > start, 0], [0.0]]))
         pieces = np.maximum(np.ceil(np.diff(marks) / spacing - 1e-9).astype(int), 1)
-        cuts = np.concatenate(
-            [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(marks[:-1], marks[1:], pieces, strict=True)]
-        )
+        cuts = _subdivide(marks, pieces)
+        W = profile.W(cuts, law)
+        # K changes e-fold over a length 1/|f|, which is short where the slope is gentle
+        folds = np.diff(cuts) * np.abs(law.f(np.diff(W) / np.diff(cuts)))
+        cuts = _subdivide(cuts, np.maximum(np.ceil(2.0 * folds).astype(int), 1))[:-1]
     ends = np.append(cuts, 0.0)
     W = profile.W(ends, law)
     W -= W[0]
@@ -105,7 +108,7 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts,
     ceiling = float(np.max(law.R(reached)) + np.ptp(W))
     table = front_law(law, float(np.min(reached)) * 0.75 - 0.25 + 1e-9, _slope_at(law, 1.1 * ceiling))
     r0 = float(law.R(0.0))
-    r = law.R(breaks[:, 2]) if isinstance(profile, Kinks) else _start_of_pieces(law, table, mean, mass, h)
+    r = law.R(breaks[:, 2]) if isinstance(profile, Kinks) else _start_of_pieces(law, table, mass, h)
     I = W[:-1] + r
     jump = np.diff(np.concatenate([[r0], I]))
     smooth = np.abs(mass) > 1e-15 if not isinstance(profile, Kinks) else np.zeros(h.size, dtype=bool)
@@ -138,6 +141,12 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts,
     return Fronts(x, jumps, label.astype(np.int64), flag.astype(bool), spacing, r0, float(W[-1])), table
 
 
+def _subdivide(marks: Array, pieces: Array) -> Array:
+    """`marks` with the stretches between them cut into so many equal pieces."""
+    parts = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(marks[:-1], marks[1:], pieces, strict=True)]
+    return np.append(np.concatenate(parts), marks[-1])
+
+
 def _slope_at(law: ErosionLaw, r: float) -> float:
     """A q with R(q) >= r."""
     q = 1.0
@@ -146,16 +155,12 @@ def _slope_at(law: ErosionLaw, r: float) -> float:
     return q
 
 
-def _start_of_pieces(law: ErosionLaw, table: FrontLaw, mean: Array, mass: Array, h: Array) -> Array:
+def _start_of_pieces(law: ErosionLaw, table: FrontLaw, mass: Array, h: Array) -> Array:
     """r at the left end of pieces of constant I that hold the given mass: r - r(h) = mass."""
     if law.name == "rational":
         return 1.0 + mass / -np.expm1(-h)
-    decay = np.vectorize(lambda r, h: kernels.law_decay(r, h, 0.0, *table), otypes=[float])
-    q, r = mean, law.R(mean)
-    for _ in range(6):  # Newton in q, with d(mass)/dq = h to first order
-        off = mass - (r - decay(r, h))
-        q = np.maximum(q + np.divide(off, h, out=np.zeros_like(h), where=h > 0), 0.5 * (q - 1.0))
-        r = law.R(q)
+    r = np.empty_like(mass)
+    kernels.start_pieces(mass, h, *table, r)
     return r
 
 
@@ -189,7 +194,7 @@ class _Tracker:
         """To the time `end`; merges, births and exits are noted."""
         arrays = self.x, self.jump, self.label, self.since, self.smooth
         if self.exact:
-            self.n, logged = kernels.advance_exactly(
+            self.n, logged = advance_exactly(
                 *arrays, self.n, self.t, end, self.data.r0, *self.table,
                 DOP853.A, DOP853.B, DOP853.E3, DOP853.E5, TOLERANCE,
                 self.strong, self.work, self.head, self.log, self.totals,
@@ -244,15 +249,13 @@ def track_fronts(
     problem: Problem,
     grid: Grid | None = None,
     fronts: int = 1600,
-    exact: bool | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Run:
     """Solves by tracking `fronts` fronts (more where fans open), and reads the result on a grid (theory, §5).
 
-    Data that are kinks only are solved exactly, whatever `fronts` is. With `exact` every meeting of two fronts is found
-    in its own time, so that the budgets hold to rounding for any data; by default that is done for kinks only, for its
-    cost grows with the square of the number of fronts. The grid is by default 2000 cells over the profile. Raises
-    InputError for bad input and for a profile with q != 0 at the left end.
+    Data that are kinks only are solved exactly, whatever `fronts` is. The grid is by default 2000 cells over the
+    profile. Raises InputError for bad input and for a profile with q != 0 at the left end. Where q comes so near to -1
+    that a piece is no longer resolved, `status` says so and the last saved time is the last good one.
     """
     if fronts < 4:
         raise InputError(f"fronts = {fronts} must be 4 or more")
@@ -266,36 +269,46 @@ def track_fronts(
         grid = Grid(1.05 * start - 0.05, 2000)
     problem.check(grid)
     data, table = cut_into_fronts(problem, grid.left, fronts)
-    tracker = _Tracker(data, table, data.kinks_only if exact is None else exact)
+    tracker = _Tracker(data, table, exact=data.kinks_only)
     height = float(profile.W(grid.nodes[:1], problem.law)[0])
 
     kept, saved, kinks = problem.times, [], []
     watch = _Budgets(tracker, grid)
     tracker.advance(0.0)  # compiles what is to be compiled
-    seconds = 0.0
+    seconds, status = 0.0, "done"
     for target in np.unique(np.append(kept, problem.end)):
         started = time.perf_counter()
         tracker.advance(float(target))
         seconds += time.perf_counter() - started
         W, K = tracker.read(grid.nodes)
+        broken = _first_fault(W, K, grid)
+        if broken is not None:
+            status = (
+                f"stopped before t = {target:.6g}: front tracking loses the slope near x = {grid.nodes[broken]:.6g}, "
+                "where q is too near -1 for so few fronts; use more fronts, or the method godunov"
+            )
+            break
         watch.observe(float(target), W)
         if target in kept:
             saved.append((W, K))
             kinks += tracker.kinks()
         if progress:
             progress(float(target) / problem.end if problem.end else 1.0)
+    if not saved:
+        raise RunError(status)
     W, K = (np.array(rows) for rows in zip(*saved, strict=True))
     steps = int(tracker.totals[2])
     return Run(
         title=problem.title,
         method="fronts",
         case=resolved_case(problem, grid, "fronts", DEFAULT_CFL),
-        time=kept,
+        time=kept[: len(saved)],
         x=grid.nodes,
         x_cell=grid.centres,
         u=grid.nodes + W + height,
         q=np.diff(W, axis=1) / grid.dx,
         K=K,
+        status=status,
         steps=steps,
         wall_seconds=seconds,
         kinks=kinks,
@@ -306,6 +319,14 @@ def track_fronts(
         units=profile.units,
         account=profile.account,
     )
+
+
+def _first_fault(W: Array, K: Array, grid: Grid) -> int | None:
+    """The rightmost node at which the state is not admissible, or None."""
+    q = np.diff(W) / grid.dx
+    bad = ~(np.isfinite(K) & (K > 0.0))
+    bad[1:] |= ~(np.isfinite(q) & (q > -1.0))
+    return int(np.flatnonzero(bad)[-1]) if bad.any() else None
 
 
 class _Budgets:

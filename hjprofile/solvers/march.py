@@ -61,6 +61,8 @@ class _StepTooSmall(Exception):
 
 
 class Recording(NamedTuple):
+    """What was saved on the way, with an account of the steps."""
+
     times: Array
     W: Array
     q: Array
@@ -103,7 +105,7 @@ def march(
     watch(speed)
     if kept[0] == 0.0:
         save()
-    dt = 0.0
+    dt, started = 0.0, time.perf_counter()
     try:
         for target in np.unique(np.append(kept[kept > 0.0], problem.end if problem.end else [])):
             while t < target:
@@ -128,10 +130,12 @@ def march(
             if target in kept:
                 save()
     except Breakdown as broken:
+        seconds += time.perf_counter() - started
         status = _breakdown_sentence(broken, grid, t, dt, cfl)
         scheme.restore()
         speed = scheme.evaluate()
     except _StepTooSmall:
+        seconds += time.perf_counter() - started
         status = _small_step_sentence(scheme, problem, grid, t, dt, speed)
     if status != "done" and (not saved or saved[-1][0] < t):
         save()

@@ -12,6 +12,7 @@ from hjprofile.problem import Problem
 from hjprofile.problem.case import DEFAULT_CFL, DEFAULT_METHOD, Case, resolved_case
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers import conservation, hj
+from hjprofile.solvers.fronts import track_fronts
 from hjprofile.solvers.march import Scheme, march
 from hjprofile.solvers.run import Run
 
@@ -19,7 +20,7 @@ Progress = Callable[[float], None]
 
 HJ_METHODS = tuple(hj.FLUXES)
 CONSERVATIVE_METHODS = ("conservative", *conservation.FLUXES)
-METHODS = HJ_METHODS + CONSERVATIVE_METHODS
+METHODS = (*HJ_METHODS, *CONSERVATIVE_METHODS, "fronts")
 
 
 def solve_hj(
@@ -67,6 +68,8 @@ def check_method(case: Case) -> None:
 def solve_case(case: Case, progress: Progress | None = None) -> Run:
     """Solves a case by its own method."""
     check_method(case)
+    if case.method == "fronts":
+        return track_fronts(case.problem, case.grid, progress=progress)
     solve = solve_hj if case.method in HJ_METHODS else solve_conservative
     return solve(case.problem, case.grid, case.method, case.cfl, progress)
 

@@ -8,8 +8,6 @@ Taylor series where the law is a table.
 
 import math
 
-import numpy as np
-
 from hjprofile.solvers.kernels import compiled
 
 
@@ -43,12 +41,13 @@ def law_derivatives(rho, table, start, width):
 def law_flow(rho, h, near, table, start, width):
     """rho at a distance h (of either sign) to the right, where I is constant.
 
-    Third-order Taylor for |h| <= near, else classical Runge-Kutta in steps of 1/200: 1e-11 a unit of length.
+    Third-order Taylor for |h| <= near, else classical Runge-Kutta in steps of 1/200, shorter where rho changes faster
+    than x: 1e-11 a unit of length.
     """
     if abs(h) <= near:
         f, f1, f2 = law_derivatives(rho, table, start, width)
         return rho - h * f * (1.0 - 0.5 * h * (f1 - h / 3.0 * (f1 * f1 + f * f2)))
-    steps = 1 + int(200.0 * abs(h))
+    steps = 1 + int(200.0 * abs(h) * max(1.0, abs(law_f(rho, table, start, width))))
     d = h / steps
     for _ in range(steps):
         k1 = law_f(rho, table, start, width)
@@ -65,6 +64,31 @@ def law_decay(r, h, near, table, start, width):
     if table.shape[0] == 0:
         return 1.0 + (r - 1.0) * math.exp(-h)
     return math.exp(law_flow(math.log(r), h, near, table, start, width))
+
+
+@compiled
+def start_pieces(mass, h, table, start, width, r):
+    """Fills r at the left ends of pieces of constant I with the given lengths and masses: r - r(h) = mass.
+
+    The left side increases with r; ln r is bracketed, then found by bisection and secant steps in turn.
+    """
+    low0, high0 = start, start + width * table.shape[0]
+    for i in range(h.size):
+        low, high = low0, high0
+        f_low = math.exp(low) - law_decay(math.exp(low), h[i], 0.0, table, start, width) - mass[i]
+        f_high = math.exp(high) - law_decay(math.exp(high), h[i], 0.0, table, start, width) - mass[i]
+        for k in range(200):
+            middle = 0.5 * (low + high)
+            if k % 2 and f_high > f_low:
+                middle = min(max(low - f_low * (high - low) / (f_high - f_low), low), high)
+            value = math.exp(middle) - law_decay(math.exp(middle), h[i], 0.0, table, start, width) - mass[i]
+            if value > 0.0:
+                high, f_high = middle, value
+            else:
+                low, f_low = middle, value
+            if high - low < 1e-15 * max(1.0, abs(low)) or abs(value) < 1e-16:
+                break
+        r[i] = math.exp(low if -f_low < f_high else high)
 
 
 @compiled
@@ -352,129 +376,3 @@ def volume(x, jump, n, r0, near, table, start, width, r_right):
                 total += 0.5 * d * w[k] * (I - law_decay(r, s, near, table, start, width))
             r = law_decay(r, d, near, table, start, width)
     return total
-
-
-@compiled
-def rates_of(y, jump, n, r0, table, start, width, work, rate):
-    """Speeds of n fronts, then K_left - 1 and F(0): the state y is their places and the integrals of these two.
-
-    The last piece is continued to x = 0 even where a trial step takes the last front beyond: so the rate is smooth.
-    """
-    speeds(y, jump, n, n - 1, r0, 0.0, table, start, width, work[0], work[1], work[2], rate)
-    rate[n] = work[2, 0] - 1.0
-    rate[n + 1] = outflow_at(y, n - 1, work[1], 0.0, table, start, width)
-
-
-@compiled
-def least_gap(y, n):
-    """The least distance of two neighbours or of the last front from x = 0; negative where an event has passed."""
-    gap = -y[n - 1]
-    for j in range(n - 1):
-        gap = min(gap, y[j + 1] - y[j])
-    return gap
-
-
-@compiled
-def dop853_step(y, rates, dt, jump, n, r0, table, start, width, A, B, work, stage, out):
-    """One step of Dormand and Prince's method of order 8; rates[0] is the rate at y."""
-    m = n + 2
-    for s in range(1, 12):
-        for i in range(m):
-            slope = 0.0
-            for k in range(s):
-                slope += A[s, k] * rates[k, i]
-            stage[i] = y[i] + dt * slope
-        rates_of(stage, jump, n, r0, table, start, width, work, rates[s])
-    for i in range(m):
-        slope = 0.0
-        for k in range(12):
-            slope += B[k] * rates[k, i]
-        out[i] = y[i] + dt * slope
-
-
-@compiled
-def advance_exactly(
-    x, jump, label, since, smooth, n, t, end, r0, table, start, width,
-    A, B, E3, E5, tolerance, strong, work, head, log, totals,
-):  # fmt: skip
-    """As `advance`, but to `tolerance`: adaptive steps of order 8, and each merge and exit found in its own time.
-
-    The root of an event is found on the fraction of the step; every evaluation is a step, so an event has full order.
-    """
-    logged = 0
-    rates, y, stage, new = np.empty((13, n + 2)), np.empty(n + 2), np.empty(n + 2), np.empty(n + 2)
-    dt = 0.01 * (end - t)
-    while t < end and n > 0:
-        m = n + 2
-        for j in range(n):
-            y[j] = x[j]
-        y[n], y[n + 1] = totals[0], totals[1]
-        rates_of(y, jump, n, r0, table, start, width, work, rates[0])
-        dt = min(dt, end - t)
-        while True:
-            dop853_step(y, rates, dt, jump, n, r0, table, start, width, A, B, work, stage, new)
-            rates_of(new, jump, n, r0, table, start, width, work, rates[12])
-            fifth = third = 0.0
-            for i in range(m):
-                e5 = e3 = 0.0
-                for k in range(13):
-                    e5 += E5[k] * rates[k, i]
-                    e3 += E3[k] * rates[k, i]
-                fifth, third = max(fifth, abs(e5)), max(third, abs(e3))
-            error = dt * fifth * fifth / math.sqrt(fifth * fifth + 0.01 * third * third + 1e-300) / tolerance
-            if dt < 1e-14 * end:
-                break
-            if error > 1.0:
-                dt *= max(0.2, 0.9 * error**-0.125)
-            elif least_gap(new, n) < 0.0 and least_gap(y, n) <= 0.0:
-                dt *= 0.1  # a fan has yet to open: no bracket for the event
-            else:
-                break
-        used = dt
-        passed = least_gap(new, n) < 0.0
-        if passed:  # Illinois' rule of false position between the fractions `low` and `high` of the step
-            low, high, side = 0.0, 1.0, 0
-            g_low, g_high = max(least_gap(y, n), 0.0), least_gap(new, n)
-            for _ in range(100):
-                if high - low <= 1e-15 or g_low <= 0.0:
-                    break
-                theta = low + (high - low) * g_low / (g_low - g_high)
-                dop853_step(y, rates, theta * dt, jump, n, r0, table, start, width, A, B, work, stage, new)
-                g = least_gap(new, n)
-                if abs(g) < 1e-15:
-                    high = theta
-                    break
-                if g > 0.0:
-                    low, g_low = theta, g
-                    if side == 1:
-                        g_high *= 0.5
-                    side = 1
-                else:
-                    high, g_high = theta, g
-                    if side == -1:
-                        g_low *= 0.5
-                    side = -1
-            used = high * dt
-            dop853_step(y, rates, used, jump, n, r0, table, start, width, A, B, work, stage, new)
-        t = end if used == end - t else t + used
-        for j in range(n):
-            x[j] = new[j]
-        totals[0], totals[1], totals[2] = new[n], new[n + 1], totals[2] + 1.0
-        if passed:
-            rates_of(new, jump, n, r0, table, start, width, work, rates[12])
-            for j in range(n - 1):  # those that met, to the accuracy of the root; a fan that has yet to open has not
-                if x[j + 1] - x[j] < 1e-13 and rates[12, j] > rates[12, j + 1]:
-                    x[j] = x[j + 1] + 1e-15
-            if x[n - 1] > -1e-14:
-                x[n - 1] = 0.0
-            sweep(x, jump, n, n - 1, r0, 0.0, table, start, width, work[0], work[1], work[3], work[2])
-            n, logged = merge(
-                x, jump, label, since, smooth, rates[12], n, t, work[0], work[1], 0.0, table, start, width,
-                work[3:], head, log, logged,
-            )  # fmt: skip
-            n, logged = note_events(x, jump, label, since, strong, rates[12], n, t, log, logged, totals)
-        if error > 0.0:
-            dt *= min(2.0, 0.9 * error**-0.125)
-        else:
-            dt *= 2.0
-    return n, logged

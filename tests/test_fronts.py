@@ -1,0 +1,149 @@
+"""Front tracking: exact for kinks, second order through the formation and merging of shocks for all else."""
+
+import numpy as np
+import oracles
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import hjprofile as hj
+from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink
+
+LAWS = {
+    "rational": (hj.rational(), 1e-10),
+    "log": (hj.log(), 1e-8),
+    "power": (hj.power(3.0), 1e-8),
+    "user": (hj.expression("sqrt(1+q) - 1/sqrt(1+q)"), 1e-8),
+}
+T2 = hj.bumps([0.8, -0.3], [-5.0, -3.0], [1.0, 0.5])
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_one_kink_is_exact(law):
+    law, most = LAWS[law]
+    exact = travelling_kink(law, 1.0, -6.0)
+    problem = hj.Problem(law, hj.kinks([-6.0], [1.0]), end=1.1 * exact.exit_time, snapshots=12)
+    run = hj.track_fronts(problem, hj.Grid(-10.0, 500))
+    for i, t in enumerate(run.time):
+        assert np.abs(run.u[i] - exact.u(t, run.x)).max() <= most
+    (leaving,) = run.events
+    assert leaving.event == "exit" and abs(leaving.time - exact.exit_time) <= most
+    assert run.volume_budget_error <= 1e-10
+
+
+def test_three_kinks_merge_twice_and_leave():
+    positions, amplitudes = [-7.0, -6.2, -5.0], [0.4, 1.2, 2.0]
+    events, _ = oracles.kinks_to_the_end(positions, amplitudes, 20.0)
+    run = hj.track_fronts(hj.Problem(hj.rational(), hj.kinks(positions, amplitudes), end=10.0), hj.Grid(-10.0, 400))
+    assert [(e.event, e.kink, e.into) for e in run.events] == [("merge", 2, 1), ("merge", 3, 1), ("exit", 1, None)]
+    for found, (t, event, x) in zip(run.events, events, strict=True):
+        assert found.event == event
+        assert abs(found.time - t) <= 1e-9 and abs(found.x - x) <= 1e-9
+    for t in (0.2, 0.8, 4.0):
+        now = hj.track_fronts(hj.Problem(hj.rational(), hj.kinks(positions, amplitudes), end=t), hj.Grid(-10.0, 400))
+        places = oracles.kinks_to_the_end(positions, amplitudes, t)[1]
+        assert np.abs(np.array([k.x for k in now.kinks_at(-1)]) - places).max() <= 1e-9
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.lists(st.tuples(st.floats(0.02, 0.5), st.floats(0.01, 3.0)), min_size=1, max_size=15))
+def test_budgets_of_random_kinks_hold_to_rounding(data):
+    """Every kink jumps up by the second number; the first is the distance to the next."""
+    gaps, jumps = np.transpose(data)
+    positions = -np.cumsum(gaps)[::-1]
+    amplitudes, q = [], 0.0
+    for j, jump in enumerate(jumps):
+        q = q * np.exp(-(positions[j] - positions[j - 1])) + jump if j else jump
+        amplitudes.append(q)
+    problem = hj.Problem(hj.rational(), hj.kinks(positions.tolist(), amplitudes), end=5.0, snapshots=5)
+    run = hj.track_fronts(problem, hj.Grid(float(positions[0]) - 1.0, 200))
+    assert run.done and all(b.holds for b in run.bounds.values())
+    assert run.volume_budget_error <= 1e-9 * (1 + run.eroded_volume)  # measured 1e-13 of a volume of some tens
+    for i in range(run.time.size):
+        places = [k.x for k in run.kinks_at(i)]
+        assert places == sorted(places)
+
+
+def test_second_order_where_all_is_smooth():
+    """T2 at t = 0.5 against an independent solution by characteristics (error 3e-8)."""
+    W = oracles.t2_smooth_solution(0.5)
+    problem, grid = hj.Problem(hj.rational(), T2, end=0.5, snapshots=2), hj.Grid(-10.0, 4000)
+    counts, sup, l1 = [400, 800, 1600, 3200], [], []
+    for n in counts:
+        off = hj.track_fronts(problem, grid, n).u[-1] - grid.nodes - W(grid.nodes)
+        sup.append(np.abs(off).max())
+        l1.append(np.abs(np.diff(off)).sum())
+    assert 1.9 <= hj.observed_order(counts, sup) <= 2.1 and sup[2] <= 5e-6
+    assert 1.9 <= hj.observed_order(counts, l1) <= 2.3 and l1[2] <= 3e-5
+
+
+@pytest.mark.parametrize("law", ["rational", "log", "power"])
+def test_second_order_through_the_birth_of_shocks(law):
+    """T2 at t = 2 against four times as many fronts."""
+    law, _ = LAWS[law]
+    problem, grid = hj.Problem(law, T2, end=2.0, snapshots=2), hj.Grid(-10.0, 4000)
+    counts = [400, 800, 1600] if law.name == "rational" else [200, 400, 800]
+    finest = hj.track_fronts(problem, grid, 4 * counts[-1])
+    sup, l1 = [], []
+    for n in counts:
+        off = hj.track_fronts(problem, grid, n).u[-1] - finest.u[-1]
+        sup.append(np.abs(off).max())
+        l1.append(np.abs(np.diff(off)).sum())
+    assert 1.8 <= hj.observed_order(counts, sup) <= 2.3
+    assert 1.75 <= hj.observed_order(counts, l1) <= 2.4
+    if law.name == "rational":
+        assert sup[-1] <= 2e-5 and l1[-1] <= 1e-4
+
+
+def test_agrees_with_extrapolated_godunov():
+    """T2 at t = 2: Godunov's scheme on 16000 and 8000 cells, extrapolated, is some 3e-5 off in L1 (by halving)."""
+    problem = hj.Problem(hj.rational(), T2, end=2.0, snapshots=2)
+    fine, coarse = (hj.solve_hj(problem, hj.Grid(-10.0, n), "godunov") for n in (16000, 8000))
+    fronts = hj.track_fronts(problem, hj.Grid(-10.0, 8000), 3200)
+    off = 2 * fine.u[-1, ::2] - coarse.u[-1] - fronts.u[-1]
+    assert np.abs(off).mean() * 10.0 <= 6e-5
+
+
+def test_kink_into_the_steady_slope():
+    exact = kink_into_steady_slope(hj.rational(), 0.5, -1.0)
+    problem, grid = hj.Problem(hj.rational(), hj.steady(0.5, -1.0), end=0.5, snapshots=2), hj.Grid(-2.0, 4000)
+    counts, sup, l1 = [200, 400, 800, 1600], [], []
+    for n in counts:
+        run = hj.track_fronts(problem, grid, n)
+        off = run.u[-1] - exact.u(0.5, grid.nodes)
+        sup.append(np.abs(off).max())
+        l1.append(np.abs(np.diff(off)).sum())
+    assert hj.observed_order(counts, sup) >= 1.9 and sup[-1] <= 1e-6
+    assert hj.observed_order(counts, l1) >= 1.9 and l1[-1] <= 1e-5
+
+
+def test_a_kink_that_swallows_fronts_of_the_other_sign():
+    case = hj.load_case("deposit")
+    off = [hj.track_fronts(case.problem, case.grid, n).volume_budget_error for n in (200, 400, 800, 1600)]
+    # Measured 2e-5 to 1e-6, jittering with where in a step the fronts meet. Merged between the two, where fronts of
+    # opposite sign have no right to be, they leave 2.9e-3 to 3.6e-4.
+    assert max(off) <= 5e-5 and off[-1] <= 5e-6
+
+
+def test_births_and_merges_of_the_hillslope_do_not_depend_on_the_number_of_fronts():
+    case = hj.load_case("hillslope")
+    a, b = (hj.track_fronts(case.problem, case.grid, n) for n in (1600, 3200))
+    assert [e[1:4] for e in a.events] == [e[1:4] for e in b.events]
+    assert np.abs(np.array([e.time for e in a.events]) - [e.time for e in b.events]).max() <= 0.01
+    assert abs(a.eroded_volume - b.eroded_volume) <= 5e-4
+
+
+def test_what_is_refused_and_what_is_told():
+    flux = hj.Problem(hj.rational(), hj.steady(0.4), end=1.0)
+    with pytest.raises(hj.InputError, match="flux that enters"):
+        hj.track_fronts(flux, hj.Grid(-3.0, 100))
+    with pytest.raises(hj.InputError, match="fronts = 2"):
+        hj.track_fronts(hj.Problem(hj.rational(), T2, end=1.0), fronts=2)
+    with pytest.raises(hj.InputError, match="give a grid"):
+        hj.track_fronts(hj.Problem(hj.rational(), hj.profile(lambda x: x), end=1.0))
+
+
+def test_flat_slope_and_a_kink_at_the_very_top():
+    for profile in (hj.steps([-2.0, -1.0], [0.0]), hj.kinks([0.0], [1.0])):
+        run = hj.track_fronts(hj.Problem(hj.log(), profile, end=1.0, snapshots=3), hj.Grid(-3.0, 60))
+        assert run.done and np.abs(run.u - run.x).max() <= 1e-12
