@@ -166,7 +166,7 @@ def _account(run: Run) -> str:
         f"to t = {run.time[-1]:g}{poured}",
         f"  eroded      {volume}",
         f"  kinks       {len(run.kinks_at(0))} at t = {run.time[0]:g}, {len(run.kinks_at(-1))} at the end; {events}",
-        f"  budgets     mass {'to rounding' if mass.holds else 'NOT KEPT'}; "
+        f"  budgets     mass {f'to {mass.allowance}' if mass.holds else 'NOT KEPT'}; "
         f"volume to {run.volume_budget_error:.2g} ({budget.allowance})",
         f"  bounds      {'all hold' if not bounds else 'NOT HELD: ' + ', '.join(bounds)}",
     ]

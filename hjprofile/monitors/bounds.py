@@ -29,7 +29,7 @@ class BoundsMonitor:
         self.monotone, self.telescoping = monotone, telescoping
         self.bounds: dict[str, Verdict] = {}
         self.first: State | None = None
-        self.eroded_volume = 0.0
+        self.eroded_volume = self.outflow = 0.0
         self.budget_error = 0.0  # worst so far
         self.budget_allowance = 0.0
         self.t = self.allowance_rate = 0.0
@@ -51,7 +51,7 @@ class BoundsMonitor:
         scheme = "rounding" if self.monotone else "first order in dx"
 
         self._record("mass_budget", rounding, mass - self.mass + state.outflow - self.inflow * t, t, "rounding")
-        self.eroded_volume = self.first.volume - state.volume
+        self.eroded_volume, self.outflow = self.first.volume - state.volume, state.outflow
         off = abs(self.eroded_volume - state.growth)
         self.budget_error = max(self.budget_error, off)
         small = ROUNDING * (1.0 + abs(state.growth) + t + abs(self.first.volume))

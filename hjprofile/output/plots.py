@@ -113,7 +113,9 @@ def draw_diagram(run: Run) -> Figure:
     first, last = _span(run)
     edges = np.concatenate([[first], 0.5 * (run.time[1:] + run.time[:-1]), [last]])
     sheet = axes.pcolormesh(x, edges, run.q, cmap="RdBu_r", norm=norm, rasterized=True)
-    figure.colorbar(sheet, ax=axes, pad=0.01, label="excess slope q  (below 0: grains settle)")
+    bar = figure.colorbar(sheet, ax=axes, pad=0.01, label="excess slope q  (below 0: grains settle)")
+    if low >= 0 or high <= 0:  # only the half of the scale that is there
+        bar.ax.set_ylim(0.0 if low >= 0 else norm.vmin, norm.vmax if low >= 0 else 0.0)
     if run.time.size == 1:
         axes.set_yticks([float(run.time[0])])
     scale = run.units.x if run.units else np.asarray

@@ -134,6 +134,7 @@ def summary(run: Run) -> dict[str, Any]:
         "end": float(run.time[-1]),
         "kinks_at_end": len(run.kinks_at(-1)),
         "eroded_volume": run.eroded_volume,
+        "outflow": run.outflow,
         "volume_budget": {"difference": run.volume_budget_error, "promise": run.bounds["volume_budget"].allowance}
         if "volume_budget" in run.bounds
         else None,
@@ -198,7 +199,8 @@ def load_run(folder: str | Path) -> Run:
             title=content["title"], method=text["method"], case=tomllib.loads(text["case"]), **arrays,  # type: ignore[arg-type]
             status=text["status"], steps=content["steps"], wall_seconds=content["wall_seconds"],
             step_range=(_number(content["time_step"]["least"]), _number(content["time_step"]["largest"])),
-            kinks=kinks, events=events, eroded_volume=_number(content["eroded_volume"]), units=units,
+            kinks=kinks, events=events, eroded_volume=_number(content["eroded_volume"]),
+            outflow=_number(content["outflow"]), units=units,
             bounds={
                 name: Verdict(b["holds"], _number(b["worst_margin"]), _number(b["time"]), b["allowance"])
                 for name, b in content["bounds"].items()

@@ -315,6 +315,7 @@ def track_fronts(
         events=sorted(tracker.events, key=lambda e: (e.time, e.kink)),
         bounds=watch.bounds,
         eroded_volume=watch.eroded,
+        outflow=float(tracker.totals[1]),
         volume_budget_error=watch.off,
         units=profile.units,
         account=profile.account,

@@ -109,6 +109,7 @@ def _solve(scheme: Scheme, problem: Problem, grid: Grid, method: str, cfl: float
         events=events,
         bounds=bounds.bounds,
         eroded_volume=bounds.eroded_volume,
+        outflow=bounds.outflow,
         volume_budget_error=bounds.budget_error,
         units=problem.profile.units,
         account=problem.profile.account,

@@ -82,6 +82,7 @@ class Run:
         kinks, events: the kinks at the saved times; births, merges and exits.
         bounds: name -> Verdict for each a-priori fact and budget that was watched.
         eroded_volume: ∫(u(0,x) - u(t,x)) dx at the end.
+        outflow: ∫F(x = 0) dt at the end: excess slope that has left at the top.
         volume_budget_error: the most by which the eroded volume ever differed from ∫(K(left) - 1) dt.
         units: the way back to a survey's units, else None.
         account: what was done to the data, or "".
@@ -104,6 +105,7 @@ class Run:
     events: Sequence[Event] = ()
     bounds: Mapping[str, Verdict] = field(default_factory=dict)
     eroded_volume: float = np.nan
+    outflow: float = np.nan
     volume_budget_error: float = np.nan
     units: Units | None = None
     account: str = ""
