@@ -29,13 +29,15 @@ ROUNDING = 1e-10
 # of 250 to 2000 cells. Solvers of different equations show 0.
 ORDER_Q = 0.25
 ORDER_U = 0.5
-# u extrapolated from two first-order grids is second order beside kinks (measured 1.5 to 2.2), but not in the fan that
-# opens at a downward jump (0.84 to 0.97). A solver that is first order where it should be second shows 1 or less.
-ORDER_EXTRAPOLATED = 1.2
-ORDER_EXTRAPOLATED_FAN = 0.6
-ORDER_BUDGET = 0.7  # first order; measured 0.94 to 1.14
-KINK_CELLS = 4.0  # measured: 2.8 for Lax-Friedrichs, 1 for the others
+# The second-order solver's distance from front tracking as a part of Godunov's on the same grid: measured 0.007 to 0.06
+# beside kinks (0.11 in short runs from sharp data), 0.08 to 0.3 in the fans that open at downward jumps. One
+# that has become first order shows 2.3 for a K shifted by a cell, 0.2 for a K that is a stage old.
+SHARE, SHARE_WITH_FANS = 0.18, 0.5
+ORDER_CONSERVATIVE = 1.4
 DOWNWARD_JUMP = 0.05
+ORDER_BUDGET = 0.7  # first order; measured 0.94 to 1.14
+KINK_CELLS = 4.0  # measured: 1 or less; Lax-Friedrichs up to 20 on rough data, where the distance must fall with dx
+ORDER_KINKS = 0.3
 
 
 class Check(NamedTuple):
@@ -67,7 +69,7 @@ def check_consistency(
     return [
         *_completed(runs),
         *_identities(runs, finest),
-        *_independence(runs, ladder, problem),
+        *_independence(runs, ladder),
         *_budgets(runs, ladder),
         *_third_witness(runs, ladder, problem, grid),
     ]
@@ -103,7 +105,7 @@ def _identities(runs: dict[tuple[str, int], Run], finest: int) -> Iterator[Check
         yield _bounded(f"identity:{method}", finest, error, IDENTITY, f"max |D u - 1 - q| <= {IDENTITY:g}")
 
 
-def _independence(runs: dict[tuple[str, int], Run], ladder: list[int], problem: Problem) -> Iterator[Check]:
+def _independence(runs: dict[tuple[str, int], Run], ladder: list[int]) -> Iterator[Check]:
     for method in HJ_METHODS:
         apart: list[Comparison] = [compare(runs[method, n], runs["conservative", n]) for n in ladder]
         yield _ordered(f"independence:{method}:q", ladder, [c.slope_l1 for c in apart], ORDER_Q)
@@ -111,43 +113,37 @@ def _independence(runs: dict[tuple[str, int], Run], ladder: list[int], problem: 
         distances = [c.kinks for c in apart]
         if np.all(np.isfinite(distances)):
             most = KINK_CELLS * -float(runs[method, ladder[-1]].x[0]) / ladder[-1]
-            passes = bool(distances[-1] <= most)
-            rule = f"mean distance of kinks <= {KINK_CELLS:g} dx"
-            yield Check(
-                f"kinks:{method}", ladder, distances, _finite(observed_order(ladder, distances)), most, passes, rule
-            )
-    error = [_extrapolated_error(runs, n) for n in ladder[1:]]
-    start = problem.profile.q_means(Grid(float(runs["godunov", ladder[-1]].x[0]), ladder[-1]), problem.law)
-    fan = bool(np.min(np.diff(start), initial=0.0) < -DOWNWARD_JUMP)
-    least = ORDER_EXTRAPOLATED_FAN if fan else ORDER_EXTRAPOLATED
-    yield _ordered("extrapolation:godunov:u", ladder[1:], error, least)
+            order = _finite(observed_order(ladder, distances))
+            passes = bool(distances[-1] <= most or (order is not None and order >= ORDER_KINKS))
+            rule = f"mean distance of kinks <= {KINK_CELLS:g} dx, or falls with an order >= {ORDER_KINKS:g}"
+            yield Check(f"kinks:{method}", ladder, distances, order, most, passes, rule)
 
 
 def _finite(order: float) -> float | None:
     return order if np.isfinite(order) else None
 
 
-def _extrapolated_error(runs: dict[tuple[str, int], Run], cells: int) -> float:
-    """Mean over time of ∫|2 u(dx) - u(2 dx) - u| dx: Godunov's scheme extrapolated against the conservative solver."""
-    fine, coarse, conservative = runs["godunov", cells], runs["godunov", cells // 2], runs["conservative", cells]
-    times = min(r.time.size for r in (fine, coarse, conservative))
-    apart = 2 * fine.u[:times, ::2] - coarse.u[:times] - conservative.u[:times, ::2]
-    dx = -float(fine.x[0]) / (cells // 2)
-    return float(np.mean(dx * np.abs(apart).sum(axis=1)))
-
-
 def _third_witness(
     runs: dict[tuple[str, int], Run], ladder: list[int], problem: Problem, grid: Grid
 ) -> Iterator[Check]:
-    """Front tracking solves neither form on a grid: both solvers converge to it. Left out where a flux enters."""
+    """Front tracking solves neither form on a grid: both solvers converge to it, the second-order one ahead.
+
+    Left out where a flux enters, and where front tracking itself does not keep its bounds.
+    """
     if problem.profile.inflow:
         return
     fronts = track_fronts(problem, Grid(grid.left, ladder[-1]))
-    if not fronts.done:
+    if not fronts.done or not all(b.holds for b in fronts.bounds.values()):
         return
-    for method in ("godunov", "conservative"):
-        apart = [compare(runs[method, n], fronts).height_l1 for n in ladder]
-        yield _ordered(f"fronts:{method}:u", ladder, apart, ORDER_U)
+    apart = {m: [compare(runs[m, n], fronts).height_l1 for n in ladder] for m in ("godunov", "conservative")}
+    for method, errors in apart.items():
+        yield _ordered(f"fronts:{method}:u", ladder, errors, ORDER_U)
+    share = apart["conservative"][-1] / max(apart["godunov"][-1], ROUNDING)
+    start = problem.profile.q_means(Grid(grid.left, ladder[-1]), problem.law)
+    most = SHARE_WITH_FANS if np.min(np.diff(start)) < -DOWNWARD_JUMP else SHARE
+    passes = share <= most or observed_order(ladder, apart["conservative"]) >= ORDER_CONSERVATIVE
+    rule = f"distance of conservative from fronts <= {most:g} of that of godunov, or order >= {ORDER_CONSERVATIVE:g}"
+    yield Check("fronts:share of conservative", [ladder[-1]], [share], None, most, bool(passes), rule)
 
 
 def _budgets(runs: dict[tuple[str, int], Run], ladder: list[int]) -> Iterator[Check]:
