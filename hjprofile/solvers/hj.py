@@ -6,7 +6,7 @@ quotients of W, K a suffix sum and F the numerical flux, a step is W_i -= Δt F_
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 import numpy as np
@@ -105,5 +105,3 @@ def scheme(problem: Problem, grid: Grid, method: str) -> HamiltonJacobi:
     W = problem.profile.W(grid.nodes, problem.law)
     return HamiltonJacobi(problem.law, grid, W, FLUXES[method], problem.profile.inflow)
 
-
-__all__: Sequence[str] = ("FLUXES", "HamiltonJacobi", "scheme")
