@@ -104,4 +104,3 @@ def scheme(problem: Problem, grid: Grid, method: str) -> HamiltonJacobi:
     """The scheme of that name (a key of FLUXES), set up with the problem's profile."""
     W = problem.profile.W(grid.nodes, problem.law)
     return HamiltonJacobi(problem.law, grid, W, FLUXES[method], problem.profile.inflow)
-
