@@ -285,7 +285,8 @@ def track_fronts(
         if broken is not None:
             status = (
                 f"stopped before t = {target:.6g}: front tracking loses the slope near x = {grid.nodes[broken]:.6g}, "
-                "where q is too near -1 for so few fronts; use more fronts, or the method godunov"
+                "where q is too near -1 for so few fronts, or K too large to tell events apart; use more fronts, or "
+                "the method godunov"
             )
             break
         watch.observe(float(target), W)

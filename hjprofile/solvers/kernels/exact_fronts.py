@@ -57,8 +57,9 @@ def advance_exactly(
     """As `advance`, but to `tolerance`: adaptive steps of order 8, and each merge and exit found in its own time.
 
     The root of an event is found on the fraction of the step; every evaluation is a step, so an event has full order.
+    Where a thousand steps in a row bring nothing, the first jump is set to NaN, which the reader of the fronts sees.
     """
-    logged = 0
+    logged = stalled = 0
     rates, y, stage, new = np.empty((13, n + 2)), np.empty(n + 2), np.empty(n + 2), np.empty(n + 2)
     dt = 0.01 * (end - t)
     while t < end and n > 0:
@@ -113,6 +114,10 @@ def advance_exactly(
                     side = -1
             used = high * dt
             dop853_step(y, rates, used, jump, n, r0, table, start, width, A, B, work, stage, new)
+        stalled = stalled + 1 if used < 1e-13 * end else 0
+        if stalled > 1000:
+            jump[0] = math.nan
+            break
         t = end if used == end - t else t + used
         for j in range(n):
             x[j] = new[j]
