@@ -95,7 +95,7 @@ def _ordered(name: str, cells: list[int], error: list[float], least: float) -> C
         return Check(name, cells, error, None, least, True, "nothing but rounding")
     order = observed_order(cells, error)
     passes = order >= least and error[-1] < error[0]
-    return Check(name, cells, error, order if np.isfinite(order) else None, least, bool(passes), f"order >= {least:g}")
+    return Check(name, cells, error, _finite(order), least, bool(passes), f"order >= {least:g}")
 
 
 def _identities(runs: dict[tuple[str, int], Run], finest: int) -> Iterator[Check]:

@@ -26,6 +26,11 @@ from hjprofile.solvers.kernels.exact_fronts import advance_exactly
 from hjprofile.solvers.run import Array, Event, KinkRecord, Run, Verdict
 
 PIECE = 0.05  # width in ln R of the pieces of a law's table: degree 7 leaves (PIECE/4)^8 = 6e-16
+REACH = 4.0  # spacings that the fastest front may cross in a step: then time adds little to the error of space
+NEAR = 0.05  # longest stretch for a Taylor series: its error (0.05)^4/24 is far below that of a front so far away
+TOLERANCE = 1e-13  # of one step of the exact integration
+ROUNDING = 1e-9  # relative, of the budgets of the exact integration; measured 1e-13, with a tabulated law 1e-10
+KINK = 4.0  # times the strength of an ordinary small front: a front that has swallowed so much is a kink
 
 
 class FrontLaw(NamedTuple):
@@ -162,13 +167,6 @@ def _start_of_pieces(law: ErosionLaw, table: FrontLaw, mass: Array, h: Array) ->
     r = np.empty_like(mass)
     kernels.start_pieces(mass, h, *table, r)
     return r
-
-
-REACH = 4.0  # spacings that the fastest front may cross in a step: then time adds little to the error of space
-NEAR = 0.05  # longest stretch for a Taylor series: its error (0.05)^4/24 is far below that of a front so far away
-TOLERANCE = 1e-13  # of one step of the exact integration
-ROUNDING = 1e-9  # relative, of the budgets of the exact integration; measured 1e-13, with a tabulated law 1e-10
-KINK = 4.0  # times the strength of an ordinary small front: a front that has swallowed so much is a kink
 
 
 class _Tracker:
