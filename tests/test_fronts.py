@@ -8,6 +8,9 @@ from hypothesis import strategies as st
 
 import hjprofile as hj
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink
+from hjprofile.solvers.fronts import _Tracker, cut_into_fronts
+from hjprofile.solvers.invariant import law_table
+from hjprofile.solvers.kernels.law import law_decay, law_q_f
 
 LAWS = {
     "rational": (hj.rational(), 1e-10),
@@ -131,6 +134,84 @@ def test_births_and_merges_of_the_hillslope_do_not_depend_on_the_number_of_front
     assert [e[1:4] for e in a.events] == [e[1:4] for e in b.events]
     assert np.abs(np.array([e.time for e in a.events]) - [e.time for e in b.events]).max() <= 0.01
     assert abs(a.eroded_volume - b.eroded_volume) <= 5e-4
+
+
+def random_steps(rng, law):
+    """50 steps of q between -0.9 and 5, none narrower than 1e-4."""
+    edges = np.sort(rng.uniform(-10.0, 0.0, 51))
+    values = rng.uniform(-0.9, 5.0, 50) * rng.choice([0.1, 1.0], 50)
+    if np.diff(edges).min() < 1e-4:
+        return random_steps(rng, law)
+    return hj.Problem(law, hj.steps(edges, values), end=float(rng.choice([0.1, 1.0, 3.0])), snapshots=3)
+
+
+def check_random_steps(count, seed):
+    rng = np.random.default_rng(seed)
+    for i in range(count):
+        problem = random_steps(rng, (hj.rational(), hj.log(), hj.power(3.0))[i % 3])
+        run = hj.track_fronts(problem, hj.Grid(-10.5, 500), 300, exact=True)
+        assert run.done and all(b.holds for b in run.bounds.values()), (i, run.status, run.bounds)
+        assert np.isfinite(run.u).all() and (run.q > -1).all() and (run.K > 0).all()
+        # of volumes of some tens, up to 170; measured 1.5e-12 a unit
+        assert run.volume_budget_error <= 1e-10 * (1.0 + run.eroded_volume)
+        quick = hj.track_fronts(problem, hj.Grid(-10.5, 500), 300)
+        assert quick.done and (quick.q > -1).all()
+        for k in range(3):
+            places = [kink.x for kink in run.kinks_at(k)]
+            assert places == sorted(places)
+
+
+def test_random_steps_keep_every_bound_and_budget():
+    check_random_steps(15, seed=1)
+
+
+@pytest.mark.slow
+def test_two_thousand_random_steps_keep_every_bound_and_budget():
+    check_random_steps(2000, seed=2)
+
+
+def test_fronts_stay_in_order_and_keep_the_invariant():
+    """What a front carries is its jump of I: in all they add up to the same, whatever has merged."""
+    rng = np.random.default_rng(5)
+    for law in (hj.rational(), hj.power(3.0)):
+        problem = random_steps(rng, law)
+        data, table = cut_into_fronts(problem, -10.5, 300)
+        tracker = _Tracker(data, table, exact=True)
+        for t in (1e-3, 1e-2, 0.1, 0.5):
+            tracker.advance(t)
+            gone = np.cumsum(data.jump)[-1] - np.cumsum(tracker.jump[: tracker.n])[-1]
+            assert np.all(np.diff(tracker.x[: tracker.n]) > 0.0) and tracker.x[tracker.n - 1] < 0.0
+            levels = np.append(0.0, np.cumsum(data.jump))
+            assert np.abs(levels - levels[-1] + gone).min() <= 1e-11  # a level of the data, the last that stayed
+
+
+def test_a_fan_across_the_critical_slope_does_not_run_away():
+    """One front from q > 0 to q < 0 would drive its right side to q = -1: it crosses no more than FAN in ln R."""
+    problem = hj.Problem(hj.power(3.0), hj.steps([-4.4, -4.0, -3.0], [4.8, -0.79]), end=0.2, snapshots=2)
+    runs = [hj.track_fronts(problem, hj.Grid(-5.0, 400), n, exact=True) for n in (50, 400)]
+    assert all(run.done and run.q.min() >= -0.7905 for run in runs)  # measured -0.79016
+    assert all(run.volume_budget_error <= 1e-10 for run in runs)
+    assert np.abs(runs[0].u[-1] - runs[1].u[-1]).max() <= 2e-3  # measured 1.3e-3
+
+
+def test_many_kinks_that_thicken_the_avalanche_ten_billion_times():
+    places, amplitudes = -np.arange(60.0)[::-1] - 1.0, [1.0]
+    for _ in places[1:]:
+        amplitudes.append(amplitudes[-1] * np.exp(-1.0) + 1.0)
+    problem = hj.Problem(hj.rational(), hj.kinks(places, amplitudes), end=40.0, snapshots=3)
+    run = hj.track_fronts(problem, hj.Grid(-61.0, 300))
+    assert run.done and run.K.max() > 1e10 and all(b.holds for b in run.bounds.values())
+    assert run.volume_budget_error <= 1e-12 * run.eroded_volume  # measured 1.4e-10 of 1764
+
+
+def test_law_tables_carry_the_decay_to_rounding():
+    for law in (hj.log(), hj.power(3.0), hj.power(1.0)):
+        table = law_table(law, -0.8, 20.0)
+        for q in (-0.79, -0.3, -1e-4, 1e-4, 0.5, 19.0):
+            for h in (1e-3, 0.4, 5.0):
+                exact = float(law.decay(q, h))  # to 1e-13 relative, in ln q
+                found = law_q_f(law_decay(float(law.R(q)), h, table), table)[0]
+                assert abs(found - exact) <= 1e-11 * (abs(exact) + 1e-2)
 
 
 def test_what_is_refused_and_what_is_told():

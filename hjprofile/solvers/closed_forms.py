@@ -1,6 +1,6 @@
-"""Solutions known exactly: one kink that travels into a profile which does not change otherwise (theory, §6).
+"""Solutions known exactly: flat and steady slopes, and one kink that travels into such a profile (theory, §6).
 
-Both families are a moving cut: at every time the solution is a profile of `problem.profiles` with its kink at s(t).
+All are a moving cut: at every time the solution is a profile of `problem.profiles` with its kink at s(t).
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -18,40 +19,82 @@ from hjprofile.solvers.run import Array
 
 
 @dataclass(frozen=True)
-class MovingKink:
-    """An exact solution with one kink.
+class ClosedForm:
+    """An exact solution with at most one kink.
 
     Attributes:
-        path: t -> s(t), positive after the kink has left.
+        path: t -> s(t), the place of the kink before exit_time; -inf where there is none.
         at: s -> the profile with its kink at s.
-        exit_time: when the kink reaches x = 0.
+        factor: (s, x) -> K at x >= s, an array. Left of s q = 0, and K is constant.
+        exit_time: when the kink reaches x = 0: from then on the slope is flat.
+        sinking: rate at which u falls at the left end, the flux that enters there.
     """
 
     law: ErosionLaw
     path: Callable[[float], float]
     at: Callable[[float], Profile]
+    factor: Callable[[float, Array], Array]
     exit_time: float
+    sinking: float = 0.0
 
-    def profile(self, t: float) -> Profile | None:
-        """The profile at time t, or None once it is flat."""
-        return self.at(self.path(t)) if t < self.exit_time else None
+    def kink(self, t: float) -> float:
+        """Where the kink is at time t; NaN where there is none."""
+        s = self.path(t) if t < self.exit_time else np.nan
+        return s if np.isfinite(s) else np.nan
 
     def u(self, t: float, x: Array) -> Array:
-        """Height at x; u = x left of the kink."""
-        profile = self.profile(t)
-        return x + (profile.W(x, self.law) if profile else 0.0)
+        """Height at x (increasing); u = x left of the kink, or at x[0] at time 0 if a flux enters there."""
+        if t >= self.exit_time:
+            return x.copy()
+        return x + self.at(self.path(t)).W(x, self.law) - self.sinking * t
 
     def q_means(self, t: float, grid: Grid) -> Array:
         """Exact cell means of q."""
-        profile = self.profile(t)
-        return profile.q_means(grid, self.law) if profile else np.zeros(grid.cells)
+        return self.at(self.path(t)).q_means(grid, self.law) if t < self.exit_time else np.zeros(grid.cells)
+
+    def K(self, t: float, x: Array) -> Array:
+        """The nonlocal factor at x."""
+        if t >= self.exit_time:
+            return np.ones_like(x)
+        s = self.path(t)
+        return self.factor(s, np.maximum(x, s))
+
+    def eroded(self, t: float, x: float) -> float:
+        """∫_x^0 (u(0,y) - u(t,y)) dy = ∫_0^t (K(τ,x) - 1) dτ (theory, §6g), by quadrature of the latter."""
+        from scipy.integrate import quad
+        from scipy.optimize import brentq
+
+        end = min(t, self.exit_time)
+        passes = []  # K has a corner when the kink passes x
+        if self.path(0.0) < x < self.path(end):
+            passes.append(brentq(lambda tau: self.path(tau) - x, 0.0, end, xtol=1e-14))
+        marks = [0.0, *passes, end]
+        return sum(
+            quad(lambda tau: float(self.K(tau, np.array([x]))[0]) - 1.0, a, b, epsabs=1e-12, epsrel=1e-12)[0]
+            for a, b in pairwise(marks)
+        )
 
 
-def travelling_kink(law: ErosionLaw, amplitude: float, start: float) -> MovingKink:
+def flat_slope(law: ErosionLaw) -> ClosedForm:
+    """§6d: q = 0, which nothing erodes."""
+    return ClosedForm(
+        law, lambda t: np.nan, lambda s: Kinks(np.zeros(1), np.ones(1)), lambda s, x: np.ones_like(x), 0.0
+    )
+
+
+def steady_slope(law: ErosionLaw, flux: float) -> ClosedForm:
+    """§6e: q = f⁻¹(a/(1 - a x)) for ever, sinking at the rate a; the flux a enters at the left end."""
+    return ClosedForm(law, lambda t: -np.inf, lambda s: Steady(flux), lambda s, x: 1.0 - flux * x, np.inf, flux)
+
+
+def travelling_kink(law: ErosionLaw, amplitude: float, start: float) -> ClosedForm:
     """§6a-b: q = Q(x - s(t)) right of s, Q(0) = amplitude, R'(Q) Q' = -Q; s' = 1/R(Q(-s))."""
 
     def at(s: float) -> Profile:
         return Kinks(np.array([s]), np.array([amplitude]))
+
+    def factor(s: float, x: Array) -> Array:
+        return law.R(law.decay(amplitude, x - s)) / law.R(law.decay(amplitude, -s))
 
     if law.name == "rational":
         from scipy.special import lambertw
@@ -61,40 +104,48 @@ def travelling_kink(law: ErosionLaw, amplitude: float, start: float) -> MovingKi
             c = start + amplitude * np.exp(start) + t
             return float(c - lambertw(amplitude * np.exp(c)).real)
 
-        return MovingKink(law, path_by_lambert, at, -start + amplitude * -np.expm1(start))
+        return ClosedForm(law, path_by_lambert, at, factor, -start + amplitude * -np.expm1(start))
 
+    # the last of the way, x = -y, takes dT/dy = R(Q(y)); ln Q is a second state
+    def rates(y: float, state: Array) -> list[float]:
+        q = np.exp(state[1])
+        return [float(law.R(q)), -1.0 / float(law.R_derivative(q))]
+
+    path, exit_time = _path(rates, -start, [0.0, np.log(amplitude)])
+    return ClosedForm(law, path, at, factor, exit_time)
+
+
+def kink_into_steady_slope(law: ErosionLaw, flux: float, start: float) -> ClosedForm:
+    """§6f: q = 0 left of s(t), the steady slope of that flux right of it; s' = flux/q(s⁺)."""
+    at = partial(Steady, flux)
+
+    def factor(s: float, x: Array) -> Array:
+        return 1.0 - flux * x
+
+    if law.name == "rational":
+        b = (1.0 - flux) / flux
+        exit_time = float(np.log((b - start) / b) / flux)
+        return ClosedForm(law, lambda t: b - (b - start) * np.exp(-flux * t), at, factor, exit_time)
+
+    slope = Steady(flux)
+    path, exit_time = _path(lambda y, state: [float(slope.q(np.array(-y), law)) / flux], -start, [0.0])
+    return ClosedForm(law, path, at, factor, exit_time)
+
+
+def _path(
+    rates: Callable[[float, Array], list[float]], distance: float, state: list[float]
+) -> tuple[Callable[[float], float], float]:
+    """The place of a kink over time, and its exit time, from dT/dy: T is the time that the last distance y takes."""
     from scipy.integrate import solve_ivp
     from scipy.optimize import brentq
 
-    # time to run a distance y from x = 0 backwards: dT/dy = R(Q(y)), in ln Q as state
-    log_a = np.log(amplitude)
-    passage = solve_ivp(
-        lambda y, state: [-1.0 / law.R_derivative(np.exp(state[0])), law.R(np.exp(state[0]))],
-        (0.0, -start), [log_a, 0.0], method="DOP853", rtol=1e-13, atol=1e-13, dense_output=True,
-    )  # fmt: skip
-    exit_time = float(passage.y[1, -1])
+    passage = solve_ivp(rates, (0.0, distance), state, method="DOP853", rtol=1e-13, atol=1e-13, dense_output=True)
+    exit_time = float(passage.y[0, -1])
 
     def path(t: float) -> float:
-        return -brentq(lambda y: passage.sol(y)[1] - (exit_time - t), 0.0, -start, xtol=1e-14)
+        left = exit_time - t
+        if left <= 0.0:
+            return 0.0
+        return -brentq(lambda y: passage.sol(y)[0] - left, 0.0, distance * (1 + 1e-12), xtol=1e-14)
 
-    return MovingKink(law, path, at, exit_time)
-
-
-def kink_into_steady_slope(law: ErosionLaw, flux: float, start: float) -> MovingKink:
-    """§6f: q = 0 left of s(t), the steady slope of that flux right of it; s' = flux/q(s⁺)."""
-    at = partial(Steady, flux)
-    if law.name == "rational":
-        b = (1.0 - flux) / flux
-        exit_time = np.log((b - start) / b) / flux
-        return MovingKink(law, lambda t: b - (b - start) * np.exp(-flux * t), at, float(exit_time))
-
-    from scipy.integrate import quad
-    from scipy.optimize import brentq
-
-    slope = Steady(flux)
-
-    def passage(s: float) -> float:
-        return quad(lambda x: float(slope.q(np.array(x), law)) / flux, start, s, epsabs=1e-13, epsrel=1e-13)[0]
-
-    exit_time = passage(0.0)
-    return MovingKink(law, lambda t: brentq(lambda s: passage(s) - t, start, 0.0, xtol=1e-14), at, exit_time)
+    return path, exit_time

@@ -1,103 +1,13 @@
 """Loops of front tracking.
 
-I = W + R(q) is constant between fronts; there r = R(q) obeys (ln r)_x = -f and K/r is constant (theory, §5). A law
-enters as f over rho = ln r: a piecewise polynomial `table` (pieces, 8) on pieces of equal `width` from `start`, in the
-local variable of [-1, 1]. An empty table stands for the rational law, r = 1 + q. Lengths up to `near` are crossed by a
-Taylor series where the law is a table.
+I = W + R(q) is constant between fronts; there r = R(q) decays as in `kernels.law` and K/r is constant (theory, §5).
+Stretches over which a tabulated law hardly changes, h (1 + |f|) <= `near`, are crossed by a Taylor series.
 """
 
 import math
 
 from hjprofile.solvers.kernels import compiled
-
-
-@compiled
-def law_f(rho, table, start, width):
-    """f at rho."""
-    s = (rho - start) / width
-    piece = min(max(int(s), 0), table.shape[0] - 1)
-    z = 2.0 * (s - piece) - 1.0
-    value = table[piece, 7]
-    for k in range(6, -1, -1):
-        value = value * z + table[piece, k]
-    return value
-
-
-@compiled
-def law_derivatives(rho, table, start, width):
-    """f, df/drho and d²f/drho² at rho."""
-    s = (rho - start) / width
-    piece = min(max(int(s), 0), table.shape[0] - 1)
-    z = 2.0 * (s - piece) - 1.0
-    value, first, second = table[piece, 7], 0.0, 0.0
-    for k in range(6, -1, -1):
-        second = second * z + first
-        first = first * z + value
-        value = value * z + table[piece, k]
-    return value, first * (2.0 / width), 2.0 * second * (2.0 / width) ** 2
-
-
-@compiled
-def law_flow(rho, h, near, table, start, width):
-    """rho at a distance h (of either sign) to the right, where I is constant.
-
-    Third-order Taylor for |h| <= near, else classical Runge-Kutta in steps of 1/200, shorter where rho changes faster
-    than x: 1e-11 a unit of length.
-    """
-    if abs(h) <= near:
-        f, f1, f2 = law_derivatives(rho, table, start, width)
-        return rho - h * f * (1.0 - 0.5 * h * (f1 - h / 3.0 * (f1 * f1 + f * f2)))
-    steps = 1 + int(200.0 * abs(h) * max(1.0, abs(law_f(rho, table, start, width))))
-    d = h / steps
-    for _ in range(steps):
-        k1 = law_f(rho, table, start, width)
-        k2 = law_f(rho - 0.5 * d * k1, table, start, width)
-        k3 = law_f(rho - 0.5 * d * k2, table, start, width)
-        k4 = law_f(rho - d * k3, table, start, width)
-        rho -= d / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
-    return rho
-
-
-@compiled
-def law_decay(r, h, near, table, start, width):
-    """r at a distance h (of either sign) to the right, where I is constant."""
-    if table.shape[0] == 0:
-        return 1.0 + (r - 1.0) * math.exp(-h)
-    return math.exp(law_flow(math.log(r), h, near, table, start, width))
-
-
-@compiled
-def start_pieces(mass, h, table, start, width, r):
-    """Fills r at the left ends of pieces of constant I with the given lengths and masses: r - r(h) = mass.
-
-    The left side increases with r; ln r is bracketed, then found by bisection and secant steps in turn.
-    """
-    low0, high0 = start, start + width * table.shape[0]
-    for i in range(h.size):
-        low, high = low0, high0
-        f_low = math.exp(low) - law_decay(math.exp(low), h[i], 0.0, table, start, width) - mass[i]
-        f_high = math.exp(high) - law_decay(math.exp(high), h[i], 0.0, table, start, width) - mass[i]
-        for k in range(200):
-            middle = 0.5 * (low + high)
-            if k % 2 and f_high > f_low:
-                middle = min(max(low - f_low * (high - low) / (f_high - f_low), low), high)
-            value = math.exp(middle) - law_decay(math.exp(middle), h[i], 0.0, table, start, width) - mass[i]
-            if value > 0.0:
-                high, f_high = middle, value
-            else:
-                low, f_low = middle, value
-            if high - low < 1e-15 * max(1.0, abs(low)) or abs(value) < 1e-16:
-                break
-        r[i] = math.exp(low if -f_low < f_high else high)
-
-
-@compiled
-def law_q_f(r, table, start, width):
-    """q and f at r."""
-    if table.shape[0] == 0:
-        return r - 1.0, 1.0 - 1.0 / r
-    f = law_f(math.log(r), table, start, width)
-    return f * r, f
+from hjprofile.solvers.kernels.law import law_decay, law_derivatives, law_f, law_flow, law_q_f
 
 
 @compiled
@@ -110,13 +20,13 @@ def top_front(x, n):
 
 
 @compiled
-def sweep(x, jump, n, top, r0, near, table, start, width, r_left, r_right, slope, K):
+def sweep(x, jump, n, top, r0, near, law, r_left, r_right, slope, K):
     """One-sided r, slope = [f]/[q] and K at the first n fronts: a sweep right for r, one left for K with K(0) = 1.
 
     `jump` holds the jumps of I, r0 = R(0) is r on the far left, x = 0 lies right of front `top`. Positions may be out
     of order: pieces of negative length continue the same formula.
     """
-    if table.shape[0] == 0:
+    if law.f.shape[0] == 0:
         q = r0 - 1.0
         for j in range(n):
             r_left[j] = 1.0 + q
@@ -128,11 +38,11 @@ def sweep(x, jump, n, top, r0, near, table, start, width, r_left, r_right, slope
     else:
         rho, r = math.log(r0), r0
         for j in range(n):
-            f_left = law_f(rho, table, start, width)
+            f_left = law_f(rho, law)
             r_left[j] = r
             r_right[j] = r + jump[j]
             rho_right = math.log(r_right[j])
-            f, f1, f2 = law_derivatives(rho_right, table, start, width)
+            f, f1, f2 = law_derivatives(rho_right, law)
             if abs(rho_right - rho) > 1e-5:
                 slope[j] = (f - f_left) / (f * r_right[j] - f_left * r)
             else:  # df/dq, in the middle to first order: error 1e-10
@@ -140,13 +50,13 @@ def sweep(x, jump, n, top, r0, near, table, start, width, r_left, r_right, slope
                 slope[j] = (f1 - middle * f2) / ((f1 + f - middle * (f1 + f2)) * r_right[j] * (1.0 - middle))
             if j < n - 1:
                 h = x[j + 1] - x[j]
-                if abs(h) <= near:  # as in `law_flow`, whose derivatives of f are at hand
+                if abs(h) * (1.0 + abs(f)) <= near:
                     rho = rho_right - h * f * (1.0 - 0.5 * h * (f1 - h / 3.0 * (f1 * f1 + f * f2)))
                 else:
-                    rho = law_flow(rho_right, h, near, table, start, width)
+                    rho = law_flow(rho_right, h, law)
                 r = math.exp(rho)
     if n > 0:
-        K[top] = r_right[top] / law_decay(r_right[top], -x[top], near, table, start, width)
+        K[top] = r_right[top] / law_decay(r_right[top], -x[top], law)
     for j in range(top - 1, -1, -1):
         K[j] = K[j + 1] * r_right[j] / r_left[j + 1]
     for j in range(top + 1, n):
@@ -154,20 +64,20 @@ def sweep(x, jump, n, top, r0, near, table, start, width, r_left, r_right, slope
 
 
 @compiled
-def speeds(x, jump, n, top, r0, near, table, start, width, r_left, r_right, K, speed):
+def speeds(x, jump, n, top, r0, near, law, r_left, r_right, K, speed):
     """x' = K [f]/[q] of the first n fronts."""
-    sweep(x, jump, n, top, r0, near, table, start, width, r_left, r_right, speed, K)
+    sweep(x, jump, n, top, r0, near, law, r_left, r_right, speed, K)
     for j in range(n):
         speed[j] *= K[j]
 
 
 @compiled
-def meeting(xa, ra, xb, rb, jump, near, table, start, width):
+def meeting(xa, ra, xb, rb, jump, law):
     """Where the piece left of front a and the piece right of front b have the same W; `jump` is I_b - I_a between them.
 
     There a merged front keeps W continuous and the mass to its right unchanged.
     """
-    if table.shape[0] == 0:
+    if law.f.shape[0] == 0:
         # 1 + (rb-1) e^{-(x-xb)} - 1 - (ra-1) e^{-(x-xa)} = jump; distances from the middle
         m = 0.5 * (xa + xb)
         ratio = ((rb - 1.0) * math.exp(xb - m) - (ra - 1.0) * math.exp(xa - m)) / jump
@@ -175,12 +85,15 @@ def meeting(xa, ra, xb, rb, jump, near, table, start, width):
     else:
         x = 0.5 * (xa + xb)
         for _ in range(4):
-            r1 = law_decay(ra, x - xa, near, table, start, width)
-            r2 = law_decay(rb, x - xb, near, table, start, width)
-            dq = law_q_f(r2, table, start, width)[0] - law_q_f(r1, table, start, width)[0]
+            r1 = law_decay(ra, x - xa, law)
+            r2 = law_decay(rb, x - xb, law)
+            dq = law_q_f(r2, law)[0] - law_q_f(r1, law)[0]
             if dq == 0.0:
                 break
-            x += (r2 - r1 - jump) / dq
+            dx = (r2 - r1 - jump) / dq
+            x += dx
+            if abs(dx) < 1e-15:
+                break
     # Between xa and xb if both fronts jump the same way, outside if they do not; a front whose net jump vanishes has no
     # place of its own.
     m, most = 0.5 * (xa + xb), 20.0 * abs(xa - xb)
@@ -197,9 +110,7 @@ def note(log, logged, t, kink, into, x):
 
 
 @compiled
-def merge(
-    x, jump, label, since, smooth, speed, n, t, r_left, r_right, near, table, start, width, merged, head, log, logged
-):
+def merge(x, jump, label, since, smooth, speed, n, t, r_left, r_right, law, merged, head, log, logged):
     """Merges fronts that are out of order, also several at once; returns how many are left and the events logged.
 
     `since` is when a front first merged, `label` its number if it is a kink. `merged` (rows x, jump, label, since,
@@ -214,7 +125,7 @@ def merge(
             other, closing, overlap = int(merged[2, m]), merged[4, m] - vj, merged[0, m] - xj
             dj += merged[1, m]
             sj = min(sj, merged[3, m], t)
-            xj = meeting(x[first], r_left[first], x[j], r_right[j], dj, near, table, start, width)
+            xj = meeting(x[first], r_left[first], x[j], r_right[j], dj, law)
             if other > 0 and lj > 0:
                 ago = overlap / closing if closing > 0.0 else 0.0
                 logged = note(log, logged, t - ago, max(lj, other), min(lj, other), xj - ago * vj)
@@ -251,12 +162,11 @@ def note_events(x, jump, label, since, strong, speed, n, t, log, logged, totals)
 
 
 @compiled
-def advance(
-    x, jump, label, since, smooth, n, t, end, reach, r0, near, table, start, width, strong, work, head, log, totals
-):
+def advance(x, jump, label, since, smooth, n, t, end, reach, spacing, r0, near, law, strong, work, head, log, totals):
     """Classical Runge-Kutta steps to `end` for the first n fronts, merging after each step and dropping those at x > 0.
 
-    A step takes the fastest front no further than `reach`. `totals` holds ∫(K_left - 1) dt, ∫F(0) dt, the number of
+    A step takes no front further than `reach` spacings, or as many pieces where these are shorter, at most half a
+    length 1/|f| over which K changes. `totals` holds ∫(K_left - 1) dt, ∫F(0) dt, the number of
     steps and the highest label. Returns n and the number of rows in `log`: (t, kink, into, x), into = 0 a birth, -1 an
     exit.
     """
@@ -265,42 +175,43 @@ def advance(
     while t < end:
         if n == 0:
             break
-        speeds(x, jump, n, top_front(x, n), r0, near, table, start, width, r_left, r_right, K, k1)
+        speeds(x, jump, n, top_front(x, n), r0, near, law, r_left, r_right, K, k1)
         fastest = 0.0
         for j in range(n):
-            fastest = max(fastest, k1[j])
-        dt = reach / fastest
+            folds = spacing * abs(law_q_f(r_right[j], law)[1])
+            fastest = max(fastest, k1[j] * max(1.0, 2.0 * folds))
+        dt = reach * spacing / fastest
         if dt >= end - t:
             dt = end - t
         elif 2.0 * dt > end - t:
             dt = 0.5 * (end - t)
-        growth, outflow = K[0] - 1.0, outflow_at(x, top_front(x, n), r_right, near, table, start, width)
+        growth, outflow = K[0] - 1.0, outflow_at(x, top_front(x, n), r_right, law)
         for j in range(n):
             y[j] = x[j] + 0.5 * dt * k1[j]
-        speeds(y, jump, n, top_front(y, n), r0, near, table, start, width, r_left, r_right, K, k2)
+        speeds(y, jump, n, top_front(y, n), r0, near, law, r_left, r_right, K, k2)
         growth += 2.0 * (K[0] - 1.0)
-        outflow += 2.0 * outflow_at(y, top_front(y, n), r_right, near, table, start, width)
+        outflow += 2.0 * outflow_at(y, top_front(y, n), r_right, law)
         for j in range(n):
             y[j] = x[j] + 0.5 * dt * k2[j]
-        speeds(y, jump, n, top_front(y, n), r0, near, table, start, width, r_left, r_right, K, k3)
+        speeds(y, jump, n, top_front(y, n), r0, near, law, r_left, r_right, K, k3)
         growth += 2.0 * (K[0] - 1.0)
-        outflow += 2.0 * outflow_at(y, top_front(y, n), r_right, near, table, start, width)
+        outflow += 2.0 * outflow_at(y, top_front(y, n), r_right, law)
         for j in range(n):
             y[j] = x[j] + dt * k3[j]
-        speeds(y, jump, n, top_front(y, n), r0, near, table, start, width, r_left, r_right, K, k4)
+        speeds(y, jump, n, top_front(y, n), r0, near, law, r_left, r_right, K, k4)
         growth += K[0] - 1.0
-        outflow += outflow_at(y, top_front(y, n), r_right, near, table, start, width)
+        outflow += outflow_at(y, top_front(y, n), r_right, law)
         for j in range(n):
             x[j] += dt / 6.0 * (k1[j] + 2.0 * (k2[j] + k3[j]) + k4[j])
         totals[0] += dt / 6.0 * growth
         totals[1] += dt / 6.0 * outflow
         totals[2] += 1.0
         t = end if dt == end - t else t + dt
-        sweep(x, jump, n, top_front(x, n), r0, near, table, start, width, r_left, r_right, k1, K)
+        sweep(x, jump, n, top_front(x, n), r0, near, law, r_left, r_right, k1, K)
         for j in range(n):
             k1[j] *= K[j]
         n, logged = merge(
-            x, jump, label, since, smooth, k1, n, t, r_left, r_right, near, table, start, width,
+            x, jump, label, since, smooth, k1, n, t, r_left, r_right, law,
             work[8:], head, log, logged,
         )  # fmt: skip
         n, logged = note_events(x, jump, label, since, strong, k1, n, t, log, logged, totals)
@@ -308,20 +219,20 @@ def advance(
 
 
 @compiled
-def outflow_at(x, top, r_right, near, table, start, width):
+def outflow_at(x, top, r_right, law):
     """F = f(q) at x = 0, right of front `top`."""
-    return law_q_f(law_decay(r_right[top], -x[top], near, table, start, width), table, start, width)[1]
+    return law_q_f(law_decay(r_right[top], -x[top], law), law)[1]
 
 
 @compiled
-def read(x, jump, label, smooth, n, r0, near, table, start, width, r_left, r_right, slope, K, nodes, W_out, K_out):
+def read(x, jump, label, smooth, n, r0, near, law, r_left, r_right, slope, K, nodes, W_out, K_out):
     """W and K at `nodes` (increasing). Sweeps first.
 
     Between two fronts of a `smooth` stretch: cubic Hermite of W and ln K with the means of the one-sided q and f as
     slopes (second order; the pieces themselves would make q first order). Beside a kink its own one-sided values;
-    elsewhere the piece, which is exact.
+    elsewhere the piece, which is exact, and so where the fronts are too far apart for the cubic to keep the range of q.
     """
-    sweep(x, jump, n, n - 1, r0, near, table, start, width, r_left, r_right, slope, K)
+    sweep(x, jump, n, n - 1, r0, near, law, r_left, r_right, slope, K)
     W = 0.0  # at front j
     I = r0  # right of front j
     j = -1
@@ -337,29 +248,44 @@ def read(x, jump, label, smooth, n, r0, near, table, start, width, r_left, r_rig
             continue
         if j + 1 < n and smooth[j] and x[j + 1] > x[j]:
             h = x[j + 1] - x[j]
-            qa, fa = law_q_f(r_right[j], table, start, width)
-            qb, fb = law_q_f(r_left[j + 1], table, start, width)
+            qa, fa = law_q_f(r_right[j], law)
+            qb, fb = law_q_f(r_left[j + 1], law)
             W1 = I - r_left[j + 1]
+            least, most = min(qa, qb), max(qa, qb)
             if label[j] == 0:
-                q, f = law_q_f(r_left[j], table, start, width)
+                q, f = law_q_f(r_left[j], law)
                 qa, fa = 0.5 * (qa + q), 0.5 * (fa + f)
+                least, most = min(least, q), max(most, q)
             if label[j + 1] == 0:
-                q, f = law_q_f(r_right[j + 1], table, start, width)
+                q, f = law_q_f(r_right[j + 1], law)
                 qb, fb = 0.5 * (qb + q), 0.5 * (fb + f)
+                least, most = min(least, q), max(most, q)
+            mean = (W1 - W) / h
+            turn = cubic_turn(qa, mean, qb)
+        if j + 1 < n and smooth[j] and x[j + 1] > x[j] and least <= turn <= most:
             s = (nodes[i] - x[j]) / h
             value, slope_a, slope_b = s * s * (3.0 - 2.0 * s), h * s * (1.0 - s) ** 2, h * s * s * (s - 1.0)
             W_out[i] = W + (W1 - W) * value + slope_a * qa + slope_b * qb
             exponent = math.log(K[j + 1] / K[j]) * value - slope_a * fa - slope_b * fb
             K_out[i] = K[j] * math.exp(exponent)
         else:
-            r = law_decay(r, nodes[i] - at, near, table, start, width)  # from node to node along the piece
+            r = law_decay(r, nodes[i] - at, law)  # from node to node along the piece
             at = nodes[i]
             W_out[i], K_out[i] = I - r, K[j] * r / r_right[j]
 
 
 @compiled
-def volume(x, jump, n, r0, near, table, start, width, r_right):
-    """∫W dx, by five-point Gauss-Legendre on every piece (in parts of at most 1/4)."""
+def cubic_turn(a, mean, b):
+    """The extreme slope inside a cubic with slopes a and b at its ends and the given mean slope; a if there is none."""
+    linear, square = 2.0 * (3.0 * mean - 2.0 * a - b), 3.0 * (a + b - 2.0 * mean)
+    if square == 0.0 or not 0.0 < -linear / (2.0 * square) < 1.0:
+        return a
+    return a - linear * linear / (4.0 * square)
+
+
+@compiled
+def volume(x, jump, n, law, r0, r_right):
+    """∫W dx, by five-point Gauss-Legendre on every piece (in parts over which it hardly changes)."""
     if n == 0:
         return 0.0
     z = (-0.906179845938664, -0.5384693101056831, 0.0, 0.5384693101056831, 0.906179845938664)
@@ -368,11 +294,12 @@ def volume(x, jump, n, r0, near, table, start, width, r_right):
     for j in range(n):
         I += jump[j]
         h = (x[j + 1] if j + 1 < n else 0.0) - x[j]
-        parts = 1 + int(4.0 * abs(h))
-        d, r = h / parts, r_right[j]
+        r = r_right[j]
+        parts = 1 + int(4.0 * abs(h) * (1.0 + abs(law_q_f(r, law)[1])))
+        d = h / parts
         for _ in range(parts):
             for k in range(5):
                 s = 0.5 * d * (1.0 + z[k])
-                total += 0.5 * d * w[k] * (I - law_decay(r, s, near, table, start, width))
-            r = law_decay(r, d, near, table, start, width)
+                total += 0.5 * d * w[k] * (I - law_decay(r, s, law))
+            r = law_decay(r, d, law)
     return total

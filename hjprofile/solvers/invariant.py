@@ -1,0 +1,73 @@
+"""Tables of an erosion law in the variables of the invariant, built once per law and run (theory, §5)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial import polynomial as P
+
+from hjprofile.problem.erosion import Array, ErosionLaw
+from hjprofile.solvers.kernels.law import LawTable
+
+PIECE = 0.05  # width of the pieces: degree 7 leaves (PIECE/4)^8 = 6e-16
+LEAST = 1e-14  # 1 + s/offset that rounding leaves meaningful: where r is smaller yet, s no longer tells
+_Z = np.cos(np.pi * (np.arange(8) + 0.5) / 8)  # where a piece is sampled
+_FIT = np.linalg.inv(np.vander(_Z, 8, increasing=True)).T
+
+
+def law_table(law: ErosionLaw, q_least: float, q_most: float) -> LawTable:
+    """f(rho), s(rho) and rho(s) for slopes between the two, with rho = ln R(q), to rounding.
+
+    From q = f r follow R' = 1/(f + df/drho) and, along a piece of constant I where R' q_x = -q,
+    s = q exp ∫ (1/R'(0) - 1/R')/f drho decays as exp(-x/R'(0)).
+    """
+    if law.name == "rational":
+        empty = np.empty((0, 8))
+        return LawTable(empty, empty, empty, 0.0, 0.0, 1.0, 1.0, 1.0)
+    from scipy.optimize import elementwise
+
+    rho0 = float(np.log(law.R(0.0)))
+    v = np.log1p([q_least, q_most])
+    ends = np.atleast_1d(np.log(law.R(np.expm1(v))))
+    # rho0 in the middle of a piece, so that the zeros of f and s there are exact
+    below = max(0, int(np.ceil((rho0 - ends[0]) / PIECE - 0.5)))
+    above = max(0, int(np.ceil((ends[1] - rho0) / PIECE - 0.5)))
+    start, pieces = rho0 - (below + 0.5) * PIECE, below + above + 1
+    rho = start + PIECE * (np.arange(pieces)[:, None] + 0.5 * (_Z + 1.0))
+    bracket = np.full_like(rho, v[0] - 0.5), np.full_like(rho, v[1] + 2.0)
+    f = law.f(np.expm1(elementwise.find_root(lambda v, rho: np.log(law.R(np.expm1(v))) - rho, bracket, args=(rho,)).x))
+    f_table = f @ _FIT
+    f_table[below, 0] = 0.0
+
+    # g = (rate - df/drho - f)/f, in the middle piece divided by its own zero
+    excess = -f_table.T
+    excess[:-1] -= P.polyder(f_table.T) * (2.0 / PIECE)
+    rate = -float(excess[0, below])
+    excess[0] += rate
+    g = P.polyval(_Z, excess) / f
+    g[below] = P.polyval(_Z, excess[1:, below]) / P.polyval(_Z, f_table[below, 1:])
+    primitive = P.polyint((g @ _FIT).T, lbnd=-1.0, axis=0) * (0.5 * PIECE)  # from the start of each piece
+    before = np.concatenate([[0.0], np.cumsum(P.polyval(1.0, primitive))[:-1]])
+    exponent = before[:, None] + P.polyval(_Z, primitive)
+    exponent -= before[below] + primitive[0, below]
+    s_table = (f * np.exp(rho + exponent)) @ _FIT
+    s_table[below, 0] = 0.0
+
+    at_joints = np.append(P.polyval(-1.0, s_table.T), P.polyval(1.0, s_table[-1]))
+    # ds/dr is nearly constant near r = 0
+    offset = float(P.polyval(-1.0, P.polyder(s_table[0])) * (2.0 / PIECE) - at_joints[0])
+    low, high = np.log(max(1.0 + at_joints[0] / offset, LEAST)), np.log1p(at_joints[-1] / offset)
+    count = int(np.ceil((high - low) / PIECE))
+    sigma = low + PIECE * (np.arange(count)[:, None] + 0.5 * (_Z + 1.0))
+    wanted = offset * np.expm1(sigma)
+    at = np.interp(wanted, at_joints, start + PIECE * np.arange(pieces + 1))
+    slope = P.polyder(s_table, axis=1) * (2.0 / PIECE)
+    for _ in range(6):  # Newton
+        at -= (_piecewise(s_table, start, at) - wanted) / _piecewise(slope, start, at)
+    return LawTable(f_table, s_table, np.ascontiguousarray(at @ _FIT), start, float(low), 1.0 / PIECE, offset, rate)
+
+
+def _piecewise(table: Array, start: float, x: Array) -> Array:
+    """`polynomial` of arrays, for tables of any degree."""
+    s = (x - start) / PIECE
+    piece = np.clip(s.astype(int), 0, table.shape[0] - 1)
+    return P.polyval(2.0 * (s - piece) - 1.0, np.moveaxis(table[piece], -1, 0), tensor=False)
