@@ -133,9 +133,9 @@ def test_steady_slope_and_its_flux(name, kink):
     assert_means(slope, law, q, [] if kink is None else [kink])
     assert slope.inflow == (a if kink is None else 0.0)
     for x in (-2.5, -1.0, -0.01, 0.0):
-        exponent, _ = quad(lambda s: float(law.f(slope.q(np.array(s), law))), x, 0.0, epsabs=1e-13, epsrel=1e-13)
+        exponent, _ = quad(lambda s: float(law.f(slope.excess(np.array(s), law))), x, 0.0, epsabs=1e-13, epsrel=1e-13)
         # K f(q) = a: root finding and quadrature keep 1e-13
-        assert math.exp(exponent) * law.f(slope.q(np.array(x), law)) == pytest.approx(a, rel=1e-12)
+        assert math.exp(exponent) * law.f(slope.excess(np.array(x), law)) == pytest.approx(a, rel=1e-12)
 
 
 def test_means_of_a_python_function():

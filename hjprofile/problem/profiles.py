@@ -96,6 +96,10 @@ class Profile:
         """u - x at x (any shape)."""
         raise NotImplementedError
 
+    def excess(self, x: Array, law: ErosionLaw) -> Array | None:
+        """q at x, on either side of a jump there; None where only W is known."""
+        return None
+
     def start(self, tail: float = TAIL) -> float:
         """The leftmost point at which q may differ from 0 by more than `tail`."""
         raise NotImplementedError
@@ -161,6 +165,13 @@ class Kinks(Profile):
         met = [float(law.decay(a, gap)) for a, gap in zip(self.amplitudes[:-1], gaps, strict=True)]
         return np.column_stack([self.positions, [0.0, *met], self.amplitudes])
 
+    def excess(self, x: Array, law: ErosionLaw) -> Array:
+        j = np.searchsorted(self.positions, x, side="right") - 1
+        q = np.zeros_like(x)
+        for i in np.unique(j[j >= 0]):
+            q[j == i] = law.decay(self.amplitudes[i], x[j == i] - self.positions[i])
+        return q
+
     def _pieces(self, law: ErosionLaw) -> list[float]:
         """W at each position."""
         W, met, at = 0.0, 0.0, []
@@ -204,7 +215,7 @@ class Bumps(Profile):
             object.__setattr__(self, name, value)
         # q by the formula, sampled finely around every bump: a cell mean can hide a narrow dip
         x = np.minimum((c[:, None] + w[:, None] * np.linspace(-5, 5, 2001)).ravel(), 0.0)
-        q = self._q(x)
+        q = self.excess(x)
         if np.any(q <= -1):
             raise InputError(
                 f"q = {q.min():.6g} at x = {x[np.argmin(q)]:.6g}; q must be above -1 everywhere (u_x = 1 + q > 0)"
@@ -214,7 +225,7 @@ class Bumps(Profile):
     def table(self) -> Mapping[str, Any]:
         return {"kind": "bumps"} | {n: getattr(self, n).tolist() for n in ("amplitudes", "centres", "widths")}
 
-    def _q(self, x: Array) -> Array:
+    def excess(self, x: Array, law: ErosionLaw | None = None) -> Array:
         z = (x[:, None] - self.centres) / self.widths
         return np.exp(-(z**2)) @ self.amplitudes
 
@@ -268,14 +279,23 @@ class Points(Profile):
         left[0] = right[-1] = 0.0
         return np.column_stack([x, left, right])
 
+    def _place(self, x: Array) -> tuple[Array, Array, Array]:
+        """The piece that holds x, the distance from its start, and the part of its length."""
+        h = np.diff(self.x)
+        inside = np.clip(x, self.x[0], self.x[-1])
+        j = np.clip(np.searchsorted(self.x, inside, side="right") - 1, 0, h.size - 1)
+        s = np.minimum(inside - self.x[j], h[j])
+        # a piece of no length (a jump at the last point) is never read beyond its start
+        return j, s, np.divide(s, h[j], out=np.zeros_like(s), where=h[j] > 0)
+
+    def excess(self, x: Array, law: ErosionLaw) -> Array:
+        j, _, part = self._place(x)
+        return np.where((x < self.x[0]) | (x > self.x[-1]), 0.0, self.q[j] + part * np.diff(self.q)[j])
+
     def W(self, x: Array, law: ErosionLaw) -> Array:
         h = np.diff(self.x)
         mass = np.concatenate([[0.0], np.cumsum(0.5 * h * (self.q[1:] + self.q[:-1]))])
-        inside = np.clip(x, self.x[0], self.x[-1])
-        j = np.clip(np.searchsorted(self.x, inside, side="right") - 1, 0, h.size - 1)
-        s, h = np.minimum(inside - self.x[j], h[j]), h[j]
-        # a piece of no length (a jump at the last point) is never read beyond its start
-        part = np.divide(s, h, out=np.zeros_like(s), where=h > 0)
+        j, s, part = self._place(x)
         return self.height + mass[j] + s * (self.q[j] + 0.5 * part * np.diff(self.q)[j])
 
 
@@ -310,9 +330,9 @@ class Steady(Profile):
     def breaks(self, law: ErosionLaw) -> Array:
         if self.kink is None:
             return np.empty((0, 3))
-        return np.array([[self.kink, 0.0, float(self.q(np.array(self.kink), law))]])
+        return np.array([[self.kink, 0.0, float(self.excess(np.array(self.kink), law))]])
 
-    def q(self, x: Array, law: ErosionLaw) -> Array:
+    def excess(self, x: Array, law: ErosionLaw) -> Array:
         """The steady slope itself, whether or not a kink cuts it off."""
         return law.inverse(self.flux / (1.0 - self.flux * x))
 
@@ -338,7 +358,7 @@ class Steady(Profile):
         z, weights = np.polynomial.legendre.leggauss(16)
         h = np.diff(edges)
         at = edges[:-1, None] + 0.5 * h[:, None] * (1.0 + z)
-        return np.cumsum(0.5 * h * (self.q(at, law) @ weights))[back].reshape(x.shape)
+        return np.cumsum(0.5 * h * (self.excess(at, law) @ weights))[back].reshape(x.shape)
 
 
 @dataclass(frozen=True, eq=False)

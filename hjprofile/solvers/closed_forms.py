@@ -128,7 +128,7 @@ def kink_into_steady_slope(law: ErosionLaw, flux: float, start: float) -> Closed
         return ClosedForm(law, lambda t: b - (b - start) * np.exp(-flux * t), at, factor, exit_time)
 
     slope = Steady(flux)
-    path, exit_time = _path(lambda y, state: [float(slope.q(np.array(-y), law)) / flux], -start, [0.0])
+    path, exit_time = _path(lambda y, state: [float(slope.excess(np.array(-y), law)) / flux], -start, [0.0])
     return ClosedForm(law, path, at, factor, exit_time)
 
 

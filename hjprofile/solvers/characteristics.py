@@ -1,0 +1,501 @@
+"""Shock-fitted characteristics: the solution to rounding, through births, merges and exits of kinks (theory, §5).
+
+Over the labels of characteristics r = R(q) and X are a system of ordinary differential equations with one quadrature;
+a shock is the pair of labels that meet in it, found by algebra. Steps are of order 8, panels are halved where they need
+it, and events are found in their own time.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.integrate import DOP853
+from scipy.optimize import brentq
+
+from hjprofile.errors import InputError, RunError
+from hjprofile.problem import Problem
+from hjprofile.problem.case import DEFAULT_CFL, resolved_case
+from hjprofile.problem.grid import Grid
+from hjprofile.problem.profiles import Profile
+from hjprofile.solvers.invariant import law_table
+from hjprofile.solvers.kernels import characteristics as kernels
+from hjprofile.solvers.kernels.law import LawTable, law_q_f
+from hjprofile.solvers.panels import POINTS, RULE, SLIVER, TAIL, Panels, cut_into_panels, interpolation, tails
+from hjprofile.solvers.run import Array, Event, KinkRecord, Run, Verdict
+
+TOLERANCE = 1e-12
+FINE = np.cos(np.pi * np.arange(4 * POINTS, -1, -1) / (4 * POINTS))  # where the fold of X is looked for
+SLOPE_AT = interpolation(FINE) @ RULE.D
+CORNER = 1e-3  # part of a panel within which a birth beside a corner is one at the corner
+FLOOR = 1e-13  # least step, as a part of the end
+MOST_PANELS = 4000
+
+
+class Lost(RunError):
+    """The labels of a shock or an admissible state are lost; the message says where."""
+
+
+@dataclass
+class _Stretch:
+    """What a step is tried on: the panels at its start, and where its time is counted from."""
+
+    panels: Panels
+    t: float
+    origin: float  # NaN, or the latest birth: time runs in sqrt(t - origin)
+
+    def clock(self, t: float) -> float:
+        return t if np.isnan(self.origin) else float(np.sqrt(max(t - self.origin, 0.0)))
+
+    def time(self, clock: float) -> float:
+        return clock if np.isnan(self.origin) else self.origin + clock * clock
+
+
+class _Solver:
+    """Characteristics on their way."""
+
+    def __init__(self, problem: Problem, panels: Panels, table: LawTable, tolerance: float):
+        self.table, self.tolerance, self.end = table, tolerance, problem.end
+        self.now = _Stretch(panels, 0.0, np.nan)
+        self.r0 = float(problem.law.R(0.0))
+        self.h = 0.01 * max(problem.end, 1e-300)
+        self.events: list[Event] = []
+        self.count = panels.shocks
+        self.steps = 0
+        # the smallest negative slope of X in the label that is no noise of panels or steps
+        self.threshold = max(1e-7, 30.0 * POINTS**2 * tolerance)
+        self._room()
+
+    @property
+    def flat(self) -> bool:
+        """Whether every label has left at x = 0."""
+        return len(self.now.panels.r) == 0
+
+    def _room(self) -> None:
+        panels = self.now.panels
+        self.S, self.c = np.zeros(panels.r.shape), np.zeros(panels.shocks + 1)
+        self.k = np.zeros((13, 2 * panels.r.size + 2))
+
+    def advance(self, target: float) -> None:
+        """To the time `target`. Raises Lost where it cannot go on."""
+        while self.now.t < target and not self.flat:
+            self._step(target)
+        if self.flat:
+            self.now.t = target
+
+    def _try(self, h: float) -> tuple[Panels, float]:
+        """The panels after a step h of the clock, and the error of the step as a part of the tolerance."""
+        now, panels = self.now, self.now.panels
+        off, off_top, tau = panels.off.copy(), panels.off_top.copy(), panels.tau.copy()
+        new = np.empty(2 * panels.r.size + 2)
+        error, found = kernels.step(
+            panels.y, now.clock(now.t), h, now.origin, DOP853.A, DOP853.B, DOP853.E3, DOP853.E5, panels.mesh, RULE,
+            self.table, off, off_top, panels.birth, panels.power, tau, self.S, self.c, self.k, new,
+        )  # fmt: skip
+        self.found = found
+        return panels.at(new, off, off_top, tau), error / self.tolerance
+
+    def _step(self, target: float) -> None:
+        now = self.now
+        left = now.clock(target) - now.clock(now.t)
+        h = min(self.h, left)
+        if left < 1.5 * h:
+            h = left if left <= h else 0.5 * left
+        while True:
+            if now.time(now.clock(now.t) + h) - now.t < FLOOR * self.end and h < left:
+                raise Lost(self._why())
+            panels, error = self._try(h)
+            if not error <= 1.0:
+                h *= 0.3 if not np.isfinite(error) else max(0.2, 0.9 * error**-0.125)
+                continue
+            rough = self._rough(panels)
+            if rough:
+                self.now = now = replace(now, panels=now.panels.split(dict.fromkeys(rough, 0.0)))
+                self._room()
+                if len(now.panels.r) > MOST_PANELS:
+                    raise Lost(f"the profile needs more than {MOST_PANELS} panels")
+                continue
+            break
+        self.steps += 1
+        crossed = [e for e, value in self._signs(panels).items() if value < 0.0]
+        reached = h == left
+        if crossed:
+            h, panels, event = self._first_event(crossed, h, panels)
+            reached = False
+        t = target if reached else now.time(now.clock(now.t) + h)
+        before = h
+        self.now = _Stretch(panels, t, now.origin)
+        if crossed:
+            self._apply(event)
+        if not self.flat:
+            trimmed = self.now.panels.trimmed()
+            if trimmed is not self.now.panels or crossed:
+                self.now = replace(self.now, panels=trimmed)
+                self._room()
+        if not crossed:
+            self.h = before * (min(2.0, 0.9 * error**-0.125) if error > 0.0 else 2.0)
+
+    def _why(self) -> str:
+        if self.found > 0:
+            return f"the labels of kink {self.now.panels.number[self.found - 1]} cannot be told"
+        if self.found < 0:
+            return "the labels fold where no kink is known"
+        return "steps become too small"
+
+    def _rough(self, panels: Panels) -> list[int]:
+        """Panels whose last Chebyshev coefficients are no rounding."""
+        most = max(0.1 * self.tolerance, TAIL)
+        low, high = panels.living()
+        return np.flatnonzero(
+            (np.maximum(tails(panels.r), tails(panels.X)) > most) & (high > low) & (panels.mesh.half > 1e-9)
+        ).tolist()
+
+    def read(self, nodes: Array) -> tuple[Array, Array]:
+        """W and K at the nodes."""
+        W, K = np.zeros_like(nodes), np.ones_like(nodes)
+        if not self.flat:
+            panels = self.now.panels
+            self._rates(panels)
+            kernels.read(panels.y, panels.mesh, RULE, *panels.living(), self.S, self.c, nodes, self.r0, W, K)
+        return W, K
+
+    def _rates(self, panels: Panels) -> Array:
+        """dy/dt now, and S and c."""
+        out = np.empty(2 * panels.r.size + 2)
+        self.found = kernels.rates(
+            panels.y, self.now.t, panels.mesh, RULE, self.table, panels.off, panels.off_top, panels.birth,
+            panels.power, panels.tau, self.S, self.c, out,
+        )  # fmt: skip
+        if self.found:
+            raise Lost(self._why())
+        return out
+
+    def kinks(self) -> list[KinkRecord]:
+        """The kinks now, from left to right."""
+        if self.flat:
+            return []
+        panels, records = self.now.panels, []
+        for k in range(panels.shocks):
+            x = self._place(panels, k)
+            sides = [self.r0]
+            if panels.mesh.first[k] < panels.mesh.first[k + 1]:
+                p, s = kernels.before_end(panels.off[k, 0], k, panels.mesh)
+                sides = [float((interpolation(np.array([s])) @ panels.r[p])[0])]
+            p, s = kernels.after_start(panels.off[k, 1], k + 1, panels.mesh)
+            row = interpolation(np.array([s]))[0]
+            sides.append(float(row @ panels.r[p]))
+            K = sides[1] * np.exp(row @ self.S[p] + self.c[k + 1])
+            (q0, f0), (q1, f1) = (law_q_f(r, self.table) for r in sides)
+            if q1 > q0:
+                speed = float(K * (f1 - f0) / (q1 - q0))
+                records.append(KinkRecord(self.now.t, panels.number[k], x, q0, q1, q1 - q0, speed, speed))
+        return records
+
+    # events: a name, an index, and a value that turns negative
+
+    def _signs(self, panels: Panels, only: list[tuple[str, int]] | None = None) -> dict[tuple[str, int], float]:
+        mesh, M = panels.mesh, panels.shocks
+        first, width = mesh.first, 2.0 * mesh.half
+        signs: dict[tuple[str, int], float] = {}
+        for p, value in enumerate(self._folds(panels)[0]):
+            if only is None:
+                signs["birth", p] = 1.0 if value > -self.threshold else value
+            elif ("birth", p) in only:
+                signs["birth", p] = value
+        for k in range(M):
+            if k > 0:
+                signs["merge", k] = width[first[k] : first[k + 1]].sum() - panels.off[k - 1, 1] - panels.off[k, 0]
+            if first[k] < first[k + 1]:
+                signs["left", k] = self._to_joint(mesh, first[k + 1] - 1, first[k], -1) - panels.off[k, 0]
+            signs["right", k] = self._to_joint(mesh, first[k + 1], first[k + 2] - 1, 1) - panels.off[k, 1]
+        if M:
+            p, s = kernels.after_start(panels.off[-1, 1], M, mesh)
+            signs["exit", M - 1] = -float((interpolation(np.array([s])) @ panels.X[p])[0])
+        signs["top", 0] = self._to_joint(mesh, len(panels.r) - 1, first[M], -1) - panels.off_top[0]
+        return signs
+
+    @staticmethod
+    def _to_joint(mesh: kernels.Mesh, p: int, last: int, towards: int) -> float:
+        """Width of the panels from p on up to the first joint across which fields are not analytic."""
+        total = 2.0 * mesh.half[p]
+        while p != last and mesh.joined[p if towards < 0 else p + 1]:
+            p += towards
+            total += 2.0 * mesh.half[p]
+        return float(total)
+
+    def _folds(self, panels: Panels) -> tuple[Array, Array]:
+        """The least slope of X in the label on the living part of each panel, and where it is."""
+        low, high = panels.living()
+        slopes = panels.X @ SLOPE_AT.T / panels.mesh.half[:, None]
+        slopes[(FINE[None, :] < low[:, None]) | (FINE[None, :] > high[:, None])] = np.inf
+        at = slopes.argmin(axis=1)
+        value, where = slopes[np.arange(len(at)), at], FINE[at]
+        for p in np.flatnonzero(value < 0.05):
+            if 0 < at[p] < FINE.size - 1:  # the minimum between the points, by Newton's method
+                second, third = (np.linalg.matrix_power(RULE.D, n) @ panels.X[p] for n in (2, 3))
+                s = where[p]
+                for _ in range(4):
+                    row = interpolation(np.array([s]))[0]
+                    s = min(max(s - row @ second / (row @ third), FINE[at[p] - 1], low[p]), FINE[at[p] + 1], high[p])
+                where[p], value[p] = s, interpolation(np.array([s]))[0] @ RULE.D @ panels.X[p] / panels.mesh.half[p]
+        return value, where
+
+    def _first_event(self, crossed: list, h: float, panels: Panels) -> tuple[float, Panels, tuple[str, int]]:
+        """The step up to the first of these events, the panels there, and the event."""
+        start = self._signs(self.now.panels, only=crossed)
+        # an event that noise has begun before the step is shifted by that much
+        shift = {e: min(start[e], 0.0) - (1e-300 if start[e] <= 0.0 else 0.0) for e in crossed}
+        end = self._signs(panels, only=crossed)
+        if any(start[e] <= 0.0 and e[0] != "birth" for e in crossed):
+            event = next(e for e in crossed if start[e] <= 0.0 and e[0] != "birth")
+            return 0.0, self.now.panels, event
+
+        def least(part: float) -> float:
+            tried, error = self._try(part * h)
+            if not np.isfinite(error):
+                raise Lost(self._why())
+            signs = self._signs(tried, only=crossed)
+            return min(signs[e] - shift[e] for e in crossed)
+
+        if min(end[e] - shift[e] for e in crossed) < 0.0:
+            part = brentq(
+                lambda a: least(a) if a else min(start[e] - shift[e] for e in crossed), 0.0, 1.0, xtol=1e-15, rtol=1e-14
+            )
+        else:
+            part = 1.0
+        panels, _ = self._try(part * h)
+        signs = self._signs(panels, only=crossed)
+        return part * h, panels, min(crossed, key=lambda e: abs(signs[e] - shift[e]))
+
+    def _apply(self, event: tuple[str, int]) -> None:
+        kind, i = event
+        panels, t = self.now.panels, self.now.t
+        if kind == "birth":
+            self._birth(i)
+        elif kind == "merge":
+            a, b = panels.number[i - 1], panels.number[i]
+            self.events.append(Event(t, "merge", max(a, b), min(a, b), self._place(panels, i)))
+            number = panels.number.copy()
+            number[i - 1 : i + 1] = [min(a, b)]
+            off = np.delete(panels.off, i, axis=0)
+            off[i - 1] = panels.off[i - 1, 0], panels.off[i, 1]
+            keep = np.r_[0 : panels.mesh.first[i], panels.mesh.first[i + 1] : len(panels.r)]
+            first = np.delete(panels.mesh.first, i)
+            first[i:] -= panels.mesh.first[i + 1] - panels.mesh.first[i]
+            panels = replace(
+                panels.kept(keep, first), off=off, birth=np.delete(panels.birth, i),
+                power=np.delete(panels.power, i, axis=0), tau=np.delete(panels.tau, i), number=number,
+            )  # fmt: skip
+            panels.power[i - 1] = 0.0
+            self.now = replace(self.now, panels=panels)
+        elif kind == "exit":
+            self.events.append(Event(t, "exit", panels.number[i], None, 0.0))
+            keep = np.arange(panels.mesh.first[i + 1])
+            panels = replace(
+                panels.kept(keep, panels.mesh.first[:-1].copy()), off=panels.off[:-1], birth=panels.birth[:-1],
+                power=panels.power[:-1], tau=panels.tau[:-1], number=panels.number[:-1],
+                off_top=panels.off[-1:, 0].copy(),
+            )  # fmt: skip
+            self.now = replace(self.now, panels=panels)
+        elif kind == "left" and panels.mesh.first[i] == kernels.before_end(panels.off[i, 0], i, panels.mesh)[0]:
+            if i > 0:
+                raise Lost(f"the labels between two kinks run out left of kink {panels.number[i]}")
+            first = panels.mesh.first - panels.mesh.first[1]  # nothing but q = 0 is left of the first kink
+            first[0] = 0
+            off = panels.off.copy()
+            off[0, 0] = 0.0
+            power = panels.power.copy()
+            power[0] = 0.0
+            panels = replace(panels.kept(np.arange(panels.mesh.first[1], len(panels.r)), first), off=off, power=power)
+            self.now = replace(self.now, panels=panels)
+        elif kind == "top" and panels.mesh.first[panels.shocks] == kernels.before_end(
+            panels.off_top[0], panels.shocks, panels.mesh
+        )[0]:  # fmt: skip
+            empty = np.zeros(2, dtype=panels.mesh.first.dtype)
+            self.now = replace(self.now, panels=panels.kept(np.arange(0), empty))
+        else:  # across a joint: the panel passed is dropped
+            self.now = replace(self.now, panels=self._passed(panels, kind, i))
+
+    @staticmethod
+    def _passed(panels: Panels, kind: str, i: int) -> Panels:
+        """Without the panels between a segment's end and the joint that a label has reached."""
+        mesh, off, off_top, power = panels.mesh, panels.off.copy(), panels.off_top.copy(), panels.power.copy()
+        keep = np.ones(len(panels.r), dtype=bool)
+        if kind == "right":
+            p = kernels.after_start(off[i, 1], i + 1, mesh)[0]
+            keep[mesh.first[i + 1] : p + 1] = False
+            off[i, 1] = 0.0
+        else:
+            k, reach = (i, off[i, 0]) if kind == "left" else (panels.shocks, off_top[0])
+            p = kernels.before_end(reach, k, mesh)[0]
+            keep[p : mesh.first[k + 1]] = False
+            if kind == "left":
+                off[i, 0] = 0.0
+            else:
+                off_top[0] = 0.0
+        if kind != "top":
+            power[i] = 0.0
+        first = np.concatenate([[0], np.cumsum(keep)])[mesh.first]
+        return replace(panels.kept(np.flatnonzero(keep), first), off=off, power=power, off_top=off_top)
+
+    def _place(self, panels: Panels, k: int) -> float:
+        p, s = kernels.after_start(panels.off[k, 1], k + 1, panels.mesh)
+        return float((interpolation(np.array([s])) @ panels.X[p])[0])
+
+    def _birth(self, p: int) -> None:
+        """A shock where X first folds: a joint of segments there, and how its labels will part."""
+        panels, t = self.now.panels, self.now.t
+        s = float(self._folds(panels)[1][p])
+        mesh = panels.mesh
+        k = panels.segment(p)
+        left_end = p == mesh.first[k] or not mesh.joined[p]
+        right_end = p == mesh.first[k + 1] - 1 or not mesh.joined[p + 1]
+        at_left, at_right = left_end and s < -1.0 + CORNER, right_end and s > 1.0 - CORNER
+        if at_left or at_right:
+            cut = p + at_right  # the panel that will begin the new segment
+        else:
+            panels, cut = self._joint_at(panels, p, s)
+        x = float(panels.X[cut - 1, -1] if cut > 0 else panels.X[cut, 0])
+        self.now = replace(self.now, panels=panels)
+        self._room()
+        rate = self._rates(panels)[panels.r.size : 2 * panels.r.size].reshape(panels.r.shape)
+
+        def derivative(values: Array, q: int, order: int, end: int) -> float:
+            return float((np.linalg.matrix_power(RULE.D, order) @ values[q])[end] / panels.mesh.half[q] ** order)
+
+        if at_left or at_right:
+            q, end, other = (cut, 0, cut - 1) if at_left else (cut - 1, -1, cut)
+            a, bend = -derivative(rate, q, 1, end), abs(derivative(panels.X, q, 2, end))
+            far = derivative(panels.X, other, 1, -1 if at_left else 0) if 0 <= other < len(panels.r) else 1.0
+            near = [1.5 * a / bend, 1.0], [0.375 * a * a / (bend * far), 2.0]
+            sides = near[::-1] if at_left else near
+        else:
+            a, b = -derivative(rate, cut, 1, 0), derivative(panels.X, cut, 3, 0) / 6.0
+            sides = ([np.sqrt(abs(a / b)), 0.5],) * 2
+            bend = b
+        if not (a > 0.0 and bend > 0.0):
+            raise Lost(f"a kink would be born at x = {x:.6g} in no ordinary way")
+        self.count += 1
+        tau = 1e-14 * self.end  # labels so near are at the joint itself
+        k = int(np.searchsorted(panels.mesh.first[1:-1], cut, side="right"))
+        if cut == 0:
+            k = 0
+        mesh = panels.mesh._replace(first=np.insert(panels.mesh.first, k + 1, cut))
+        self.now = _Stretch(
+            replace(
+                panels, mesh=mesh, number=[*panels.number[:k], self.count, *panels.number[k:]],
+                off=np.insert(panels.off, k, [v * tau**e for v, e in sides], axis=0),
+                power=np.insert(panels.power, k, [e for _, e in sides], axis=0),
+                birth=np.insert(panels.birth, k, t), tau=np.insert(panels.tau, k, tau),
+            ),
+            t, t,
+        )  # fmt: skip
+        self.h = min(self.h, float(np.sqrt(0.01 * self.end)))
+        self.events.append(Event(t, "birth", self.count, None, x))
+
+    @staticmethod
+    def _joint_at(panels: Panels, p: int, s: float) -> tuple[Panels, int]:
+        """Panels with a joint at s in panel p, and the panel that begins there; slivers go to a neighbour."""
+        mesh = panels.mesh
+        k = panels.segment(p)
+        if s > 1.0 - SLIVER and p + 1 < mesh.first[k + 1] and mesh.joined[p + 1]:
+            return _shift_joint(panels, p, s), p + 1
+        if s < -1.0 + SLIVER and p > mesh.first[k] and mesh.joined[p]:
+            q = 1.0 + (s + 1.0) * mesh.half[p] / mesh.half[p - 1]
+            return _shift_joint(panels, p - 1, q), p
+        return panels.split({p: s}), p + 1
+
+
+def _shift_joint(panels: Panels, p: int, s: float) -> Panels:
+    """The joint between panels p and p + 1 moved to the place s of panel p, which may be beyond its end."""
+    mesh = panels.mesh
+    a, b = mesh.half[p], mesh.half[p + 1]
+    half = mesh.half.copy()
+    half[p], half[p + 1] = 0.5 * (1.0 + s) * a, b + 0.5 * (1.0 - s) * a
+    r, X, I, slope = panels.r.copy(), panels.X.copy(), mesh.I.copy(), mesh.dI / mesh.half[:, None]
+    pairs = [(f, f[p].copy(), f[p + 1].copy()) for f in (r, X, I, slope)]
+    for q, start in ((p, -a), (p + 1, s * a)):
+        at = start + half[q] * (1.0 + RULE.s)  # the label, from the middle of p
+        here, there = interpolation(at / a), interpolation((at - a - b) / b)
+        for field, before, after in pairs:
+            field[q] = np.where(at <= a, here @ before, there @ after)
+    return replace(panels, r=r, X=X, mesh=mesh._replace(I=I, dI=slope * half[:, None], half=half))
+
+
+def solve_characteristics(
+    problem: Problem,
+    grid: Grid | None = None,
+    tolerance: float = TOLERANCE,
+    progress: Callable[[float], None] | None = None,
+) -> Run:
+    """Solves by shock-fitted characteristics, to `tolerance` in u, and reads the result on a grid (theory, §5).
+
+    The grid is by default 2000 cells over the profile. Where the method cannot go on, `status` says when, where and why,
+    and the last saved time is the last good one. Raises InputError for bad input and where a flux enters at the left.
+    """
+    if not 1e-13 <= tolerance <= 1e-2:
+        raise InputError(f"tolerance = {tolerance} must lie between 1e-13 and 1e-2")
+    profile = problem.profile
+    if profile.inflow:
+        raise InputError("characteristics need q = 0 at the left end; this profile has a flux that enters there")
+    grid = grid or profile_grid(profile)
+    problem.check(grid)
+    panels = cut_into_panels(problem, grid.left)
+    q = [float(law_inverse(problem, v)) for v in (panels.r.min(), panels.r.max() + np.ptp(panels.mesh.I))]
+    table = law_table(problem.law, (1.0 + min(q[0], 0.0)) / 2.0 - 1.0, 2.0 * q[1] + 1.0)
+    solver = _Solver(problem, panels, table, tolerance)
+    height = float(profile.W(grid.nodes[:1], problem.law)[0])
+    saved, kinks, seconds, status = [], [], 0.0, "done"
+    for target in np.unique(np.append(problem.times, problem.end)):
+        started = time.perf_counter()
+        try:
+            solver.advance(float(target))
+        except Lost as lost:
+            status = (
+                f"stopped at t = {solver.now.t:.6g}, before t = {target:.6g}: {lost}; "
+                "use the method fronts, or a smaller tolerance"
+            )
+            break
+        finally:
+            seconds += time.perf_counter() - started
+        if target in problem.times:
+            saved.append(solver.read(grid.nodes))
+            kinks += solver.kinks()
+        if progress:
+            progress(float(target) / problem.end if problem.end else 1.0)
+    if not saved:
+        raise RunError(status)
+    W, K = (np.array(rows) for rows in zip(*saved, strict=True))
+    return Run(
+        title=problem.title,
+        method="characteristics",
+        case=resolved_case(problem, grid, "characteristics", DEFAULT_CFL),
+        time=problem.times[: len(saved)],
+        x=grid.nodes,
+        x_cell=grid.centres,
+        u=grid.nodes + W + height,
+        q=np.diff(W, axis=1) / grid.dx,
+        K=K,
+        status=status,
+        steps=solver.steps,
+        wall_seconds=seconds,
+        kinks=kinks,
+        events=solver.events,
+        units=profile.units,
+        account=profile.account,
+    )
+
+
+def profile_grid(profile: Profile) -> Grid:
+    start = profile.start()
+    if not np.isfinite(start):
+        raise InputError("the left end of this profile is not known: give a grid")
+    return Grid(1.05 * start - 0.05, 2000)
+
+
+def law_inverse(problem: Problem, r: float) -> float:
+    """q with R(q) = r."""
+    v = brentq(lambda v: float(problem.law.R(np.expm1(v))) - r, -30.0, 60.0)
+    return float(np.expm1(v))

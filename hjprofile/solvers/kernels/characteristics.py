@@ -1,0 +1,350 @@
+"""Loops of shock-fitted characteristics: r = R(q) and X over labels, on panels of Chebyshev points (theory, §5).
+
+Segments of panels lie between shocks. A shock holds the distances `off` of its two labels from the joint between its
+segments: to the left in the segment before, to the right in the segment after. They solve X⁻ = X⁺, W⁻ = W⁺. Labels
+beyond them are dead, and follow the formula of their own segment.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hjprofile.solvers.kernels import compiled
+from hjprofile.solvers.kernels.law import law_derivatives
+
+CLOSE = 4e-15  # residual of X and W at which a shock's labels are found; below it Newton's step is noise
+NOISE = 1e-11  # residual beyond which they are not
+BEYOND = 1.5  # how far the polynomial of a panel may be continued, in its local variable
+
+
+class Rule(NamedTuple):
+    """Interpolation on the points of a panel.
+
+    Attributes:
+        s, bary: points in [-1, 1] and their barycentric weights.
+        D: derivative at the points.
+        B: B[i] @ g is ∫ g ds from s[i] to 1.
+    """
+
+    s: np.ndarray
+    bary: np.ndarray
+    D: np.ndarray
+    B: np.ndarray
+
+
+class Mesh(NamedTuple):
+    """What is frozen in the labels. Panels from left to right, in segments.
+
+    Attributes:
+        I, dI: the invariant and its derivative by the local variable, shape (panels, points).
+        half: half the width of a panel in the label.
+        joined: whether fields are analytic across the left end of a panel.
+        first: the first panel of each segment, and one past the last; the first segment may be empty (q = 0).
+    """
+
+    I: np.ndarray
+    dI: np.ndarray
+    half: np.ndarray
+    joined: np.ndarray
+    first: np.ndarray
+
+
+@compiled
+def weights(rule, s, w):
+    """Fills w so that w @ values is the interpolant at s."""
+    total = 0.0
+    for j in range(w.size):
+        d = s - rule.s[j]
+        if d == 0.0:
+            w[:] = 0.0
+            w[j] = 1.0
+            return
+        w[j] = rule.bary[j] / d
+        total += w[j]
+    for j in range(w.size):
+        w[j] /= total
+
+
+@compiled
+def dot(w, values):
+    """w @ values for short rows."""
+    total = 0.0
+    for j in range(w.size):
+        total += w[j] * values[j]
+    return total
+
+
+@compiled
+def at_label(p, s, r, X, mesh, rule, w):
+    """r, X, W and dX/ds at a place in panel p; leaves the weights in w."""
+    weights(rule, s, w)
+    slope = 0.0
+    for i in range(w.size):
+        slope += w[i] * dot(rule.D[i], X[p])
+    rate = dot(w, r[p])
+    return rate, dot(w, X[p]), dot(w, mesh.I[p]) - rate, slope
+
+
+@compiled
+def before_end(off, k, mesh):
+    """Panel and local place of the label `off` left of the end of segment k."""
+    p = mesh.first[k + 1] - 1
+    while off > 2.0 * mesh.half[p] and p > mesh.first[k] and mesh.joined[p]:
+        off -= 2.0 * mesh.half[p]
+        p -= 1
+    return p, 1.0 - off / mesh.half[p]
+
+
+@compiled
+def after_start(off, k, mesh):
+    """Panel and local place of the label `off` right of the start of segment k."""
+    p = mesh.first[k]
+    while off > 2.0 * mesh.half[p] and p + 1 < mesh.first[k + 1] and mesh.joined[p + 1]:
+        off -= 2.0 * mesh.half[p]
+        p += 1
+    return p, off / mesh.half[p] - 1.0
+
+
+@compiled
+def law_terms(r, law):
+    """f, df/drho and q at r."""
+    if law.f.shape[0] == 0:
+        return 1.0 - 1.0 / r, 1.0 / r, r - 1.0
+    f, f1, _ = law_derivatives(math.log(r), law)
+    return f, f1, f * r
+
+
+@compiled
+def newton_labels(k, off, r, X, mesh, rule, law, w):
+    """Labels of shock k by Newton's method from `off`: with W_ξ = q X_ξ it is closed form. Returns whether found."""
+    empty = mesh.first[k] == mesh.first[k + 1]
+    b0, b1 = off[k, 0], off[k, 1]
+    best = 1e300
+    for _ in range(25):
+        p, s = after_start(b1, k + 1, mesh)
+        if abs(s) > BEYOND:
+            break
+        r1, X1, W1, slope1 = at_label(p, s, r, X, mesh, rule, w)
+        half1 = mesh.half[p]
+        q1 = law_terms(r1, law)[2] if r1 > 0.0 else math.nan
+        if empty:
+            off_X, off_W, slope0, q0, half0 = 0.0, -W1, 1.0, 0.0, 1.0
+        else:
+            p, s = before_end(b0, k, mesh)
+            if abs(s) > BEYOND:
+                break
+            r0, X0, W0, slope0 = at_label(p, s, r, X, mesh, rule, w)
+            half0 = mesh.half[p]
+            q0 = law_terms(r0, law)[2] if r0 > 0.0 else math.nan
+            off_X, off_W = X0 - X1, W0 - W1
+        size = max(abs(off_X), abs(off_W))
+        if not size < 1e300:
+            break
+        if size < best:
+            best = size
+            off[k, 0], off[k, 1] = b0, b1
+            if size <= CLOSE:
+                return True
+        elif best <= NOISE * 0.01:
+            return True
+        if not q1 > q0 or slope0 <= 0.0 or slope1 <= 0.0:
+            break
+        move0 = (q1 * off_X - off_W) / (q0 - q1) * half0 / slope0
+        move1 = (q0 * off_X - off_W) / (q0 - q1) * half1 / slope1
+        if not empty:
+            b0 -= min(max(move0, -0.5 * half0), 0.5 * half0)
+        b1 += min(max(move1, -0.5 * half1), 0.5 * half1)
+        b0, b1 = max(b0, 0.0), max(b1, 0.0)
+    return best <= NOISE * 0.01
+
+
+@compiled
+def rates(y, t, mesh, rule, law, off, off_top, birth, power, tau, S, c, out):
+    """dy/dt for y = (r, X, ∫(K_left - 1), ∫F(0)); finds the labels of shocks and of x = 0 on the way.
+
+    Fills S and c of ln K = ln r + S + c. For a young shock `off` scales with (t - birth)^power from its last time tau.
+    Returns 0, or 1 + k where the labels of shock k are lost, or -1 where a state is not admissible.
+    """
+    P, n = mesh.I.shape
+    r, X = y[: P * n].reshape(P, n), y[P * n : 2 * P * n].reshape(P, n)
+    w = np.empty(n)
+    shocks = off.shape[0]
+    for p in range(P):
+        for i in range(n):
+            if not r[p, i] > 0.0:
+                return -1
+    for k in range(shocks):
+        if power[k, 1] > 0.0:
+            age = t - birth[k]
+            if age <= 0.0:
+                continue
+            for side in range(2):
+                off[k, side] *= (age / tau[k]) ** power[k, side]
+            tau[k] = age
+            if not newton_labels(k, off, r, X, mesh, rule, law, w):
+                return 1 + k
+        elif not newton_labels(k, off, r, X, mesh, rule, law, w):
+            return 1 + k
+
+    g = np.empty(n)
+    for k in range(shocks + 1):
+        right = 0.0
+        for p in range(mesh.first[k + 1] - 1, mesh.first[k] - 1, -1):
+            for i in range(n):
+                g[i] = mesh.dI[p, i] / r[p, i]
+            for i in range(n):
+                S[p, i] = right + dot(rule.B[i], g)
+            right = S[p, 0]
+
+    at = off_top[0]
+    for _ in range(30):  # the label at x = 0
+        p, s = before_end(at, shocks, mesh)
+        if abs(s) > BEYOND:
+            return -1
+        top_r, top_X, _, slope = at_label(p, s, r, X, mesh, rule, w)
+        if abs(top_X) <= CLOSE or not slope > 0.0:
+            break
+        at += top_X * mesh.half[p] / slope
+    if not abs(top_X) <= NOISE:
+        return -1
+    off_top[0] = at
+    c[shocks] = -math.log(top_r) - dot(w, S[p])
+    log_K = 0.0
+    for k in range(shocks - 1, -1, -1):
+        p, s = after_start(off[k, 1], k + 1, mesh)
+        weights(rule, s, w)
+        log_K = math.log(dot(w, r[p])) + dot(w, S[p]) + c[k + 1]
+        if mesh.first[k] < mesh.first[k + 1]:
+            p, s = before_end(off[k, 0], k, mesh)
+            weights(rule, s, w)
+            c[k] = log_K - math.log(dot(w, r[p])) - dot(w, S[p])
+
+    for k in range(shocks + 1):
+        for p in range(mesh.first[k], mesh.first[k + 1]):
+            for i in range(n):
+                K = r[p, i] * math.exp(S[p, i] + c[k])
+                f, f1, _ = law_terms(r[p, i], law)
+                out[p * n + i] = K * f * f / (f + f1)
+                out[P * n + p * n + i] = K * f1 / (r[p, i] * (f + f1))
+    if mesh.first[0] < mesh.first[1]:
+        log_K = math.log(r[0, 0]) + S[0, 0] + c[0]
+    out[2 * P * n] = math.exp(log_K) - 1.0
+    out[2 * P * n + 1] = law_terms(top_r, law)[0]
+    return 0
+
+
+@compiled
+def step(y, clock, h, origin, rule_A, B, E3, E5, mesh, rule, law, off, off_top, birth, power, tau, S, c, k, new):
+    """One step of Dormand and Prince's method of order 8 in t, or in z = sqrt(t - origin) where that is not NaN.
+
+    `k` (13, size of y) is workspace. Returns the error estimate (largest entry), and as `rates`.
+    """
+    m = y.size
+    stage = np.empty(m)
+    in_root = origin == origin
+    nodes = np.zeros(13)
+    for i in range(1, 12):
+        for j in range(i):
+            nodes[i] += rule_A[i, j]
+    nodes[12] = 1.0
+    for i in range(13):
+        stage[:] = 0.0
+        if i < 12:
+            for j in range(i):
+                a = h * rule_A[i, j]
+                if a != 0.0:
+                    for l in range(m):
+                        stage[l] += a * k[j, l]
+        else:
+            for j in range(12):
+                a = h * B[j]
+                if a != 0.0:
+                    for l in range(m):
+                        stage[l] += a * k[j, l]
+        for l in range(m):
+            stage[l] += y[l]
+        z = clock + nodes[i] * h
+        t = origin + z * z if in_root else z
+        found = rates(stage, t, mesh, rule, law, off, off_top, birth, power, tau, S, c, k[i])
+        if found != 0:
+            return math.inf, found
+        if in_root:
+            for l in range(m):
+                k[i, l] *= 2.0 * z
+    new[:] = stage
+    fifth = third = 0.0
+    for l in range(m):
+        e5 = e3 = 0.0
+        for i in range(13):
+            e5 += E5[i] * k[i, l]
+            e3 += E3[i] * k[i, l]
+        scale = 1.0 + abs(new[l])
+        e5, e3 = abs(e5) / scale, abs(e3) / scale
+        if not e5 <= fifth:
+            fifth = e5
+        if not e3 <= third:
+            third = e3
+    if not fifth < math.inf:
+        return math.inf, 0
+    return abs(h) * fifth * fifth / math.sqrt(fifth * fifth + 0.01 * third * third + 1e-300), 0
+
+
+@compiled
+def read(y, mesh, rule, low, high, S, c, nodes, r0, W_out, K_out):
+    """W and K at increasing `nodes`: label by label where it is alive, low[p] <= s <= high[p], between shocks' places.
+
+    S and c as `rates` leaves them.
+    """
+    P, n = mesh.I.shape
+    r, X = y[: P * n].reshape(P, n), y[P * n : 2 * P * n].reshape(P, n)
+    w = np.empty(n)
+    left, right = np.empty(P), np.empty(P)
+    of = np.zeros(P, dtype=np.int64)
+    for k in range(mesh.first.size - 1):
+        of[mesh.first[k] : mesh.first[k + 1]] = k
+    p = 0
+    for p in range(P):
+        weights(rule, low[p], w)
+        left[p] = dot(w, X[p])
+        weights(rule, high[p], w)
+        right[p] = dot(w, X[p])
+    p = 0
+    s = -1.0
+    for i in range(nodes.size):
+        x = nodes[i]
+        while p < P - 1 and (high[p] <= low[p] or x > right[p]):
+            p += 1
+            s = low[p]
+        a, b = low[p], high[p]
+        if x <= left[p]:  # left of all labels, where q = 0, or within rounding of a shock
+            s = a
+        elif x >= right[p]:
+            s = b
+        else:
+            s = min(max(s, a), b)
+            for _ in range(60):
+                _, at, _, slope = at_label(p, s, r, X, mesh, rule, w)
+                if at > x:
+                    b = s
+                else:
+                    a = s
+                if abs(at - x) <= 1e-15 * max(1.0, abs(x)):
+                    break
+                trial = s + (x - at) / slope if slope > 0.0 else a
+                s = trial if a < trial < b else 0.5 * (a + b)
+        weights(rule, s, w)
+        value = dot(w, r[p])
+        W_out[i] = dot(w, mesh.I[p]) - value
+        K_out[i] = value * math.exp(dot(w, S[p]) + c[of[p]])
+        if x < left[p] and p == first_alive(low, high):
+            W_out[i] = 0.0
+
+
+@compiled
+def first_alive(low, high):
+    """The first panel with a living label."""
+    for p in range(low.size):
+        if high[p] > low[p]:
+            return p
+    return low.size - 1

@@ -1,0 +1,253 @@
+"""Labels of characteristics on panels of Chebyshev points, cut from a profile (theory, §5).
+
+A label is where a characteristic starts; inside the fan of a downward jump it is ln R. On each panel r = R(q), X and
+I = W + r are polynomials of the label.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from hjprofile.errors import RunError
+from hjprofile.problem import Problem
+from hjprofile.solvers.kernels.characteristics import Mesh, Rule, after_start, before_end
+from hjprofile.solvers.run import Array
+
+POINTS = 16
+FAN = 0.5  # most that a panel of a fan spans in ln R
+NARROWEST = 1e-7  # panels of the data; a profile that needs narrower ones is not smooth between its corners
+SLIVER = 0.1  # part of a panel that a cut leaves to the neighbour, if fields are analytic across the joint
+TAIL = 1e-15 * POINTS**2  # rounding of the highest Chebyshev coefficients
+TAIL_OF_DATA = 1e-13
+
+
+def _rule() -> Rule:
+    s = -np.cos(np.pi * np.arange(POINTS) / (POINTS - 1))
+    bary = (-1.0) ** np.arange(POINTS)
+    bary[[0, -1]] *= 0.5
+    with np.errstate(divide="ignore"):
+        D = bary[None, :] / bary[:, None] / (s[:, None] - s[None, :])
+    np.fill_diagonal(D, 0.0)
+    np.fill_diagonal(D, -D.sum(axis=1))
+    to_coefficients = np.linalg.inv(chebyshev.chebvander(s, POINTS - 1))
+    integrals = np.array([chebyshev.chebval(1.0, p) - chebyshev.chebval(s, p) for p in _primitives()])
+    return Rule(s, bary, D, np.ascontiguousarray(integrals.T @ to_coefficients))
+
+
+def _primitives() -> list[Array]:
+    return [chebyshev.chebint(np.eye(POINTS)[k]) for k in range(POINTS)]
+
+
+RULE = _rule()
+TO_COEFFICIENTS = np.linalg.inv(chebyshev.chebvander(RULE.s, POINTS - 1))
+
+
+def interpolation(s: Array) -> Array:
+    """The matrix from values at the points of a panel to those at s."""
+    return chebyshev.chebvander(s, POINTS - 1) @ TO_COEFFICIENTS
+
+
+def tails(values: Array) -> Array:
+    """The largest of the last Chebyshev coefficients of each row, as a part of the row's size (at least 1)."""
+    coefficients = np.abs(values @ TO_COEFFICIENTS.T)
+    return coefficients[:, -3:].max(axis=1) / np.maximum(coefficients.max(axis=1), 1.0)
+
+
+@dataclass
+class Panels:
+    """The state of a solution by characteristics; conventions of `kernels.characteristics`.
+
+    Attributes:
+        r, X: shape (panels, points).
+        mesh: what is frozen.
+        off, birth, power, tau: of the shocks, (shocks, 2) and (shocks,), see `rates`.
+        number: of the shocks, for life.
+        off_top: distance of the label at x = 0 from the last joint, shape (1,).
+        totals: ∫(K_left - 1) dt and ∫F(0) dt.
+    """
+
+    r: Array
+    X: Array
+    mesh: Mesh
+    off: Array
+    birth: Array
+    power: Array
+    tau: Array
+    number: list[int]
+    off_top: Array
+    totals: Array
+
+    @property
+    def shocks(self) -> int:
+        return self.off.shape[0]
+
+    @property
+    def y(self) -> Array:
+        return np.concatenate([self.r.ravel(), self.X.ravel(), self.totals])
+
+    def at(self, y: Array, off: Array, off_top: Array, tau: Array) -> Panels:
+        """The same panels with another state."""
+        size, shape = self.r.size, self.r.shape
+        return replace(
+            self, r=y[:size].reshape(shape), X=y[size : 2 * size].reshape(shape), totals=y[2 * size :],
+            off=off, off_top=off_top, tau=tau,
+        )  # fmt: skip
+
+    def segment(self, p: int) -> int:
+        """The segment of panel p."""
+        return int(np.searchsorted(self.mesh.first, p, side="right")) - 1
+
+    def living(self) -> tuple[Array, Array]:
+        """The local range of each panel in which labels are alive, empty (high <= low) where none is."""
+        low, high = np.full(len(self.r), -1.0), np.ones(len(self.r))
+        for k in range(self.shocks):
+            p, s = after_start(self.off[k, 1], k + 1, self.mesh)
+            low[self.mesh.first[k + 1] : p] = 1.0
+            low[p] = s
+            if self.mesh.first[k] < self.mesh.first[k + 1]:
+                p, s = before_end(self.off[k, 0], k, self.mesh)
+                high[p] = s
+                high[p + 1 : self.mesh.first[k + 1]] = -1.0
+        p, s = before_end(self.off_top[0], self.shocks, self.mesh)
+        high[p] = s
+        high[p + 1 :] = -1.0
+        return low, high
+
+    def resampled(self, pieces: list[tuple[int, float, float]], first: Array) -> Panels:
+        """Panels made of parts (panel, low s, high s) of these; `first` counts the new ones."""
+        source = [p for p, _, _ in pieces]
+        E = {(a, b): interpolation(0.5 * (a + b) + 0.5 * (b - a) * RULE.s) for _, a, b in pieces if (a, b) != (-1, 1)}
+
+        def values(old: Array) -> Array:
+            return np.array([old[p] if (a, b) == (-1, 1) else E[a, b] @ old[p] for p, a, b in pieces])
+
+        part = np.array([0.5 * (b - a) for _, a, b in pieces])
+        joined = np.array([self.mesh.joined[p] if a == -1 else True for p, a, _ in pieces], dtype=np.bool_)
+        mesh = Mesh(
+            values(self.mesh.I), values(self.mesh.dI) * part[:, None], self.mesh.half[source] * part, joined, first
+        )
+        return replace(self, r=values(self.r), X=values(self.X), mesh=mesh)
+
+    def split(self, where: dict[int, float]) -> Panels:
+        """Panels cut in two at the local places `where`."""
+        pieces: list[tuple[int, float, float]] = []
+        first = self.mesh.first.copy()
+        for p in range(len(self.r)):
+            if p in where:
+                pieces += [(p, -1.0, where[p]), (p, where[p], 1.0)]
+                first[np.searchsorted(self.mesh.first, p, side="right") :] += 1
+            else:
+                pieces.append((p, -1.0, 1.0))
+        return self.resampled(pieces, first)
+
+    def kept(self, keep: Array, first: Array) -> Panels:
+        """The panels of the given indices."""
+        m = self.mesh
+        mesh = Mesh(m.I[keep], m.dI[keep], m.half[keep], m.joined[keep], first)
+        return replace(self, r=self.r[keep], X=self.X[keep], mesh=mesh)
+
+    def trimmed(self) -> Panels:
+        """Without panels that are wholly dead."""
+        m = self.mesh
+        keep = np.ones(len(self.r), dtype=bool)
+        off, power, off_top = self.off.copy(), self.power.copy(), self.off_top.copy()
+        for k in range(self.shocks):
+            p = after_start(off[k, 1], k + 1, m)[0]
+            gone = slice(m.first[k + 1], p)
+            keep[gone] = False
+            off[k, 1] -= 2.0 * m.half[gone].sum()
+            if m.first[k] < m.first[k + 1]:
+                last = before_end(off[k, 0], k, m)[0]
+                behind = slice(last + 1, m.first[k + 1])
+                keep[behind] = False
+                off[k, 0] -= 2.0 * m.half[behind].sum()
+                p = max(p, m.first[k + 1] + (m.first[k + 1] - 1 - last))
+            if p > m.first[k + 1]:
+                power[k] = 0.0
+        last = before_end(off_top[0], self.shocks, m)[0]
+        keep[last + 1 :] = False
+        off_top[0] -= 2.0 * m.half[last + 1 :].sum()
+        if keep.all():
+            return self
+        first = np.concatenate([[0], np.cumsum(keep)])[m.first]
+        return replace(self.kept(np.flatnonzero(keep), first), off=np.maximum(off, 0.0), power=power, off_top=off_top)
+
+
+def cut_into_panels(problem: Problem, left: float) -> Panels:
+    """The profile of a problem on panels between its corners and jumps, right of `left` or of where q begins.
+
+    Raises RunError where the profile is not smooth between these.
+    """
+    law, profile = problem.law, problem.profile
+    start = profile.start(tail=1e-17)
+    start = left if not np.isfinite(start) else max(start, left)
+    breaks = profile.breaks(law)
+    breaks = breaks[breaks[:, 0] < 0.0]
+    marks = np.unique(np.concatenate([[start], breaks[:, 0], [0.0]]))
+    at = dict(zip(breaks[:, 0].tolist(), breaks[:, 1:].tolist(), strict=True))
+    columns: list[tuple[Array, Array, Array, Array, float, bool]] = []  # r, X, I, dI, half, joined
+    first = [0]
+    for x, end in zip(marks[:-1].tolist(), marks[1:].tolist(), strict=True):
+        before, after = at.get(x, (0.0, 0.0))
+        if after > before + 1e-12:
+            first.append(len(columns))
+        elif after < before - 1e-12:
+            W = float(profile.W(np.array([x]), law)[0] - profile.W(np.array([start]), law)[0])
+            columns += _fan(x, W, float(law.R(before)), float(law.R(after)))
+        ends = (after if x in at else None, at[end][0] if end in at else None)
+        columns += _smooth(problem, x, end, start, ends)
+    first.append(len(columns))
+    r, X, I, dI, half, joined = (np.array(a) for a in zip(*columns, strict=True))
+    shocks = len(first) - 2
+    return Panels(
+        r, X, Mesh(I, dI, half, joined.astype(np.bool_), np.array(first)), np.zeros((shocks, 2)), np.zeros(shocks),
+        np.zeros((shocks, 2)), np.ones(shocks), list(range(1, shocks + 1)), np.zeros(1), np.zeros(2),
+    )  # fmt: skip
+
+
+def _fan(x: float, W: float, r_left: float, r_right: float) -> list:
+    """Panels of a fan that opens at x: r falls geometrically, I with it."""
+    pieces = int(np.ceil(np.log(r_left / r_right) / FAN))
+    joints = np.linspace(np.log(r_left), np.log(r_right), pieces + 1)
+    columns = []
+    for i, (a, b) in enumerate(zip(joints[:-1], joints[1:], strict=True)):
+        r = np.exp(0.5 * (a + b) + 0.5 * (b - a) * RULE.s)
+        columns.append((r, np.full(POINTS, x), W + r, 0.5 * (b - a) * r, 0.5 * (a - b), i > 0))
+    return columns
+
+
+def _smooth(problem: Problem, x: float, end: float, start: float, ends: tuple) -> list:
+    """Panels of a piece without corners, halved until their last Chebyshev coefficients are rounding."""
+    law, profile = problem.law, problem.profile
+    W0 = float(profile.W(np.array([start]), law)[0])
+    columns, todo = [], [(x, end)]
+    while todo:
+        a, b = todo.pop()
+        half = 0.5 * (b - a)
+        at = 0.5 * (a + b) + half * RULE.s
+        at[0], at[-1] = a, b
+        W = profile.W(at, law) - W0
+        q = profile.excess(at, law)
+        if q is None:
+            q = RULE.D @ W / half
+        if a == x and ends[0] is not None:
+            q[0] = ends[0]
+        if b == end and ends[1] is not None:
+            q[-1] = ends[1]
+        r = law.R(q)
+        dI = half * q + law.R_derivative(q) * (RULE.D @ q)
+        worst = tails(np.array([r, W + r, dI])).max()
+        if not worst <= TAIL_OF_DATA:
+            if half < NARROWEST:
+                raise RunError(
+                    f"the profile is not smooth near x = {a:.6g}, and says of no corner there: characteristics cannot "
+                    "follow it; use the method fronts"
+                )
+            todo += [(0.5 * (a + b), b), (a, 0.5 * (a + b))]
+            continue
+        dI[np.abs(dI) < 1e-13] = 0.0
+        columns.append((r, at, W + r, dI, half, a > x))
+    return columns
