@@ -230,6 +230,7 @@ class _Solver:
         low, high = panels.living()
         slopes = panels.X @ SLOPE_AT.T / panels.mesh.half[:, None]
         slopes[(FINE[None, :] < low[:, None]) | (FINE[None, :] > high[:, None])] = np.inf
+        slopes[high <= low] = np.inf
         at = slopes.argmin(axis=1)
         value, where = slopes[np.arange(len(at)), at], FINE[at]
         for p in np.flatnonzero(value < 0.05):

@@ -160,6 +160,104 @@ def newton_labels(k, off, r, X, mesh, rule, law, w):
 
 
 @compiled
+def beside(side, k, off, r, X, mesh, rule, w):
+    """Local place, X, W and X_ξ of the label `off` from the joint of shock k: 0 on its left, 1 on its right."""
+    p, s = before_end(off, k, mesh) if side == 0 else after_start(off, k + 1, mesh)
+    rate, at, W, slope = at_label(p, s, r, X, mesh, rule, w)
+    return s, at, W, slope / mesh.half[p]
+
+
+@compiled
+def fold(side, k, r, X, mesh, rule, w):
+    """Least `off` beyond which X rises with the label; NaN if it is not on the panels at the joint."""
+    step = 0.1 * (mesh.half[mesh.first[k + 1] - 1] if side == 0 else mesh.half[mesh.first[k + 1]])
+    low = high = 0.0
+    while True:
+        s, _, _, slope = beside(side, k, high, r, X, mesh, rule, w)
+        if abs(s) > BEYOND:
+            return math.nan
+        if slope > 0.0:
+            break
+        low = high
+        high += step
+    while high > 0.0 and high - low > 1e-15 + 1e-13 * high:
+        middle = 0.5 * (low + high)
+        if beside(side, k, middle, r, X, mesh, rule, w)[3] > 0.0:
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+@compiled
+def label_of(side, k, target, of_W, start, r, X, mesh, rule, w):
+    """The `off` beyond `start` at which X (or W) is `target`; NaN if it is not on the panels."""
+    towards = -1.0 if side == 0 else 1.0
+    step = mesh.half[mesh.first[k + 1] - 1] if side == 0 else mesh.half[mesh.first[k + 1]]
+    low, high = start, start + 0.1 * step
+    while True:
+        s, at, W, _ = beside(side, k, high, r, X, mesh, rule, w)
+        if abs(s) > BEYOND:
+            return math.nan
+        if ((W if of_W else at) - target) * towards >= 0.0:
+            break
+        low = high
+        high += 0.25 * step
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        _, at, W, _ = beside(side, k, middle, r, X, mesh, rule, w)
+        if ((W if of_W else at) - target) * towards >= 0.0:
+            high = middle
+        else:
+            low = middle
+    return 0.5 * (low + high)
+
+
+@compiled
+def bracket_labels(k, off, r, X, mesh, rule, law, w):
+    """Labels of shock k where Newton's method finds none: between the folds of X, W⁻ - W⁺ falls with x."""
+    right = fold(1, k, r, X, mesh, rule, w)
+    if mesh.first[k] == mesh.first[k + 1]:
+        off[k, 1] = label_of(1, k, 0.0, True, right, r, X, mesh, rule, w)
+        return off[k, 1] == off[k, 1] and newton_labels(k, off, r, X, mesh, rule, law, w)
+    left = fold(0, k, r, X, mesh, rule, w)
+    if not (left >= 0.0 and right >= 0.0):
+        return False
+    low, high = beside(1, k, right, r, X, mesh, rule, w)[1], beside(0, k, left, r, X, mesh, rule, w)[1]
+    if not low < high:
+        return False
+    b0 = b1 = 0.0
+    for _ in range(60):
+        x = 0.5 * (low + high)
+        b0 = label_of(0, k, x, False, left, r, X, mesh, rule, w)
+        b1 = label_of(1, k, x, False, right, r, X, mesh, rule, w)
+        if b0 != b0:
+            low = x
+        elif b1 != b1 or beside(0, k, b0, r, X, mesh, rule, w)[2] < beside(1, k, b1, r, X, mesh, rule, w)[2]:
+            high = x
+        else:
+            low = x
+        if high - low < 1e-15 * max(1.0, abs(x)):
+            break
+    if not (b0 == b0 and b1 == b1):
+        return False
+    off[k, 0], off[k, 1] = b0, b1
+    return newton_labels(k, off, r, X, mesh, rule, law, w)
+
+
+@compiled
+def shock_labels(k, off, r, X, mesh, rule, law, w):
+    """Fills the labels of shock k, by Newton's method or between folds; returns whether found, X rising at both."""
+    if newton_labels(k, off, r, X, mesh, rule, law, w):
+        rising = beside(1, k, off[k, 1], r, X, mesh, rule, w)[3] > 0.0
+        if mesh.first[k] < mesh.first[k + 1]:
+            rising = rising and beside(0, k, off[k, 0], r, X, mesh, rule, w)[3] > 0.0
+        if rising or max(off[k, 0], off[k, 1]) == 0.0:
+            return True
+    return bracket_labels(k, off, r, X, mesh, rule, law, w)
+
+
+@compiled
 def rates(y, t, mesh, rule, law, off, off_top, birth, power, tau, S, c, out):
     """dy/dt for y = (r, X, ∫(K_left - 1), ∫F(0)); finds the labels of shocks and of x = 0 on the way.
 
@@ -182,9 +280,7 @@ def rates(y, t, mesh, rule, law, off, off_top, birth, power, tau, S, c, out):
             for side in range(2):
                 off[k, side] *= (age / tau[k]) ** power[k, side]
             tau[k] = age
-            if not newton_labels(k, off, r, X, mesh, rule, law, w):
-                return 1 + k
-        elif not newton_labels(k, off, r, X, mesh, rule, law, w):
+        if not shock_labels(k, off, r, X, mesh, rule, law, w):
             return 1 + k
 
     g = np.empty(n)
