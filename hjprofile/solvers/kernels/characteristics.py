@@ -123,7 +123,7 @@ def newton_labels(k, off, r, X, mesh, rule, law, w):
     best = 1e300
     for _ in range(25):
         p, s = after_start(b1, k + 1, mesh)
-        if abs(s) > BEYOND:
+        if not abs(s) <= BEYOND:
             break
         r1, X1, W1, slope1 = at_label(p, s, r, X, mesh, rule, w)
         half1 = mesh.half[p]
@@ -132,7 +132,7 @@ def newton_labels(k, off, r, X, mesh, rule, law, w):
             off_X, off_W, slope0, q0, half0 = 0.0, -W1, 1.0, 0.0, 1.0
         else:
             p, s = before_end(b0, k, mesh)
-            if abs(s) > BEYOND:
+            if not abs(s) <= BEYOND:
                 break
             r0, X0, W0, slope0 = at_label(p, s, r, X, mesh, rule, w)
             half0 = mesh.half[p]
@@ -174,12 +174,13 @@ def fold(side, k, r, X, mesh, rule, w):
     low = high = 0.0
     while True:
         s, _, _, slope = beside(side, k, high, r, X, mesh, rule, w)
-        if abs(s) > BEYOND:
+        if not abs(s) <= BEYOND:
             return math.nan
         if slope > 0.0:
             break
         low = high
         high += step
+        step *= 1.2
     while high > 0.0 and high - low > 1e-15 + 1e-13 * high:
         middle = 0.5 * (low + high)
         if beside(side, k, middle, r, X, mesh, rule, w)[3] > 0.0:
@@ -197,12 +198,13 @@ def label_of(side, k, target, of_W, start, r, X, mesh, rule, w):
     low, high = start, start + 0.1 * step
     while True:
         s, at, W, _ = beside(side, k, high, r, X, mesh, rule, w)
-        if abs(s) > BEYOND:
+        if not abs(s) <= BEYOND:
             return math.nan
         if ((W if of_W else at) - target) * towards >= 0.0:
             break
         low = high
         high += 0.25 * step
+        step *= 1.2
     for _ in range(60):
         middle = 0.5 * (low + high)
         _, at, W, _ = beside(side, k, middle, r, X, mesh, rule, w)
@@ -296,7 +298,7 @@ def rates(y, t, mesh, rule, law, off, off_top, birth, power, tau, S, c, out):
     at = off_top[0]
     for _ in range(30):  # the label at x = 0
         p, s = before_end(at, shocks, mesh)
-        if abs(s) > BEYOND:
+        if not abs(s) <= BEYOND:
             return -1
         top_r, top_X, _, slope = at_label(p, s, r, X, mesh, rule, w)
         if abs(top_X) <= CLOSE or not slope > 0.0:
