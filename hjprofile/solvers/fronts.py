@@ -105,7 +105,7 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts,
         if x in fan:
             q_left, drop = fan[x]
             # as strong as the fronts of the smooth parts beside them, and in all no more than a quarter as many
-            beside = spacing * float(np.max(np.abs(law.f(np.array([q_left, mean[k], 0.1])))))
+            beside = spacing * max(0.1, float(np.min(np.abs(law.f(np.array([q_left, mean[k]]))))))
             n = int(np.ceil(max(4.0, drop / FAN, min(0.25 * fronts * drop / drops.sum(), drop / beside))))
             level = W[k] + float(law.R(q_left)) * np.exp(-drop * (np.arange(n) + 0.5) / n)
             before = I[k - 1] if k else r0
