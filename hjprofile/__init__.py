@@ -35,7 +35,9 @@ if TYPE_CHECKING:
     from hjprofile.problem.profiles import steady as steady
     from hjprofile.problem.profiles import steps as steps
     from hjprofile.problem.survey import survey as survey
+    from hjprofile.solvers.characteristics import solve_characteristics as solve_characteristics
     from hjprofile.solvers.fronts import track_fronts as track_fronts
+    from hjprofile.solvers.methods import solve as solve
     from hjprofile.solvers.methods import solve_case as solve_case
     from hjprofile.solvers.methods import solve_conservative as solve_conservative
     from hjprofile.solvers.methods import solve_hj as solve_hj
@@ -52,8 +54,9 @@ _MODULES = {
     "problem.grid": ("Grid",),
     "problem.profiles": ("bumps", "kinks", "points", "profile", "steady", "steps"),
     "problem.survey": ("survey",),
+    "solvers.characteristics": ("solve_characteristics",),
     "solvers.fronts": ("track_fronts",),
-    "solvers.methods": ("solve_case", "solve_conservative", "solve_hj"),
+    "solvers.methods": ("solve", "solve_case", "solve_conservative", "solve_hj"),
     "solvers.run": ("Run",),
 }
 _HOME = {name: f"hjprofile.{module}" for module, names in _MODULES.items() for name in names}

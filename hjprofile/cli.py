@@ -37,6 +37,7 @@ def _whole(_: Any, tokens: Any) -> int:
 Cells = Annotated[int | None, Parameter(converter=_whole, help="Number of grid cells, instead of the case's.")]
 Method = Annotated[str | None, Parameter(help="Solver method, instead of the case's; a wrong name lists them all.")]
 Cfl = Annotated[float | None, Parameter(help="Time step as a part of the largest monotone one.")]
+Tolerance = Annotated[float | None, Parameter(help="Largest error of u, for the methods characteristics and auto.")]
 End = Annotated[float | None, Parameter(help="Mass of grains poured in at which the run ends.")]
 Out = Annotated[Path | None, Parameter(help="Folder for the results; results/<case name> by default.")]
 Into = Annotated[Path | None, Parameter(help="Folder for the files; the result's own by default.")]
@@ -44,7 +45,15 @@ Into = Annotated[Path | None, Parameter(help="Folder for the files; the result's
 
 @app.command
 def run(
-    case: str, /, *, method: Method = None, cells: Cells = None, cfl: Cfl = None, end: End = None, out: Out = None
+    case: str,
+    /,
+    *,
+    method: Method = None,
+    cells: Cells = None,
+    cfl: Cfl = None,
+    tolerance: Tolerance = None,
+    end: End = None,
+    out: Out = None,
 ) -> None:
     """Solve a case and write its result folder.
 
@@ -54,7 +63,8 @@ def run(
     from hjprofile.problem.case import load_case
     from hjprofile.solvers.methods import check_method, solve_case
 
-    asked = {"solver.method": method, "domain.cells": cells, "solver.cfl": cfl, "time.end": end}
+    solver = {"solver.method": method, "solver.cfl": cfl, "solver.tolerance": tolerance}
+    asked = solver | {"domain.cells": cells, "time.end": end}
     loaded = load_case(case, {key: value for key, value in asked.items() if value is not None})
     check_method(loaded)
     folder = out or Path("results") / loaded.name
@@ -170,6 +180,8 @@ def _account(run: Run) -> str:
         f"volume to {run.volume_budget_error:.2g} ({budget.allowance})",
         f"  bounds      {'all hold' if not bounds else 'NOT HELD: ' + ', '.join(bounds)}",
     ]
+    if run.error_estimate is not None:
+        lines.append(f"  error       of u at most {run.error_estimate:.2g}, by estimate")
     if run.account:
         lines.insert(1, f"  data        {run.account}")
     return "\n".join(lines)

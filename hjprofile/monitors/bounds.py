@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from hjprofile.problem.erosion import ErosionLaw
@@ -50,22 +52,58 @@ class BoundsMonitor:
         smear = 0.0 if self.monotone else dx * variation
         scheme = "rounding" if self.monotone else "first order in dx"
 
-        self._record("mass_budget", rounding, mass - self.mass + state.outflow - self.inflow * t, t, "rounding")
+        record(self.bounds, "mass_budget", rounding, mass - self.mass + state.outflow - self.inflow * t, t, "rounding")
         self.eroded_volume, self.outflow = self.first.volume - state.volume, state.outflow
         off = abs(self.eroded_volume - state.growth)
         self.budget_error = max(self.budget_error, off)
         small = ROUNDING * (1.0 + abs(state.growth) + t + abs(self.first.volume))
         if self.telescoping:
-            self._record("volume_budget", small, off, t, "rounding")
+            record(self.bounds, "volume_budget", small, off, t, "rounding")
         else:
-            self._record("volume_budget", small + self.budget_allowance, off, t, "first order in dx")
-        self._record("top_factor", ROUNDING, float(state.K[-1]) - 1.0, t, "rounding")
-        self._record("minimum_principle", ROUNDING + smear, max(self.floor - least, 0.0), t, scheme)
+            record(self.bounds, "volume_budget", small + self.budget_allowance, off, t, "first order in dx")
+        record(self.bounds, "top_factor", ROUNDING, float(state.K[-1]) - 1.0, t, "rounding")
+        record(self.bounds, "minimum_principle", ROUNDING + smear, max(self.floor - least, 0.0), t, scheme)
         if self.inflow == 0.0:
-            self._record("l1_decay", rounding + smear, max(norm - self.norm, 0.0), t, scheme)
+            record(self.bounds, "l1_decay", rounding + smear, max(norm - self.norm, 0.0), t, scheme)
             self.norm = min(norm, self.norm)
 
-    def _record(self, name: str, allowed: float, excess: float, t: float, allowance: str) -> None:
-        margin = 1.0 - abs(float(excess)) / allowed
-        if name not in self.bounds or margin < self.bounds[name].worst_margin:
-            self.bounds[name] = Verdict(margin >= 0.0, margin, float(t), allowance)
+
+class SnapshotBounds:
+    """Bounds and budgets of a method that knows its own volume, judged at the saved times.
+
+    `allowed` holds an allowance for each bound, and what it is; allowances grow with time as 1 + t.
+    """
+
+    def __init__(self, grid: Grid, mass: float, volume: float, allowed: Mapping[str, tuple[float, str]]):
+        self.grid, self.mass, self.first, self.allowed = grid, mass, volume, allowed
+        self.bounds: dict[str, Verdict] = {}
+        self.norm, self.floor, self.cancelled = np.inf, 0.0, 0.0
+        self.eroded_volume = self.budget_error = 0.0
+
+    def observe(self, t: float, W: np.ndarray, volume: float, growth: float, outflow: float) -> None:
+        mass = np.diff(W)
+        norm, least = float(np.abs(mass).sum()), float(mass.min() / self.grid.dx)
+        # in a cell where q changes its sign the parts of its mass cancel
+        turns = mass[:-1] * mass[1:] < 0.0
+        self.cancelled = max(self.cancelled, float((np.abs(mass[:-1]) + np.abs(mass[1:]))[turns].sum()))
+        if np.isinf(self.norm):
+            self.norm, self.floor = norm, min(least, 0.0)
+        self.eroded_volume = self.first - volume
+        off = abs(self.eroded_volume - growth)
+        self.budget_error = max(self.budget_error, off)
+        for name, excess in (
+            ("mass_budget", float(W[-1]) - self.mass + outflow),
+            ("volume_budget", off),
+            ("minimum_principle", max(self.floor - least, 0.0)),
+            ("l1_decay", max(norm - self.norm - self.cancelled, 0.0)),
+        ):
+            allowed, allowance = self.allowed[name]
+            record(self.bounds, name, allowed * (1.0 + t), excess, t, allowance)
+        self.norm = min(self.norm, norm)
+
+
+def record(bounds: dict[str, Verdict], name: str, allowed: float, excess: float, t: float, allowance: str) -> None:
+    """Keeps the verdict with the worst margin."""
+    margin = 1.0 - abs(float(excess)) / allowed
+    if name not in bounds or margin < bounds[name].worst_margin:
+        bounds[name] = Verdict(margin >= 0.0, margin, float(t), allowance)

@@ -144,6 +144,8 @@ def summary(run: Run) -> dict[str, Any]:
         },
         "hjprofile_version": hjprofile.__version__,
     }
+    if run.error_estimate is not None:
+        content["error_estimate"] = run.error_estimate
     if run.units:
         content["units"] = {name: getattr(run.units, name) for name in _UNITS}
         content["units"]["volume_of_one"] = run.units.volume
@@ -206,6 +208,7 @@ def load_run(folder: str | Path) -> Run:
                 for name, b in content["bounds"].items()
             },
             volume_budget_error=_number((content["volume_budget"] or {}).get("difference")),
+            error_estimate=content.get("error_estimate"),
             account=content.get("account", ""),
         )  # fmt: skip
     except FileNotFoundError as error:

@@ -27,7 +27,7 @@ class Case:
     Attributes:
         name: of the file, without `.toml`.
         source: where it came from, for messages.
-        method, cfl: how to solve it.
+        method, cfl, tolerance: how to solve it.
         vtk, plots: what to write beside `profile.nc` and the tables.
         expect: what the case's own test asserts.
     """
@@ -38,6 +38,7 @@ class Case:
     grid: Grid
     method: str = DEFAULT_METHOD
     cfl: float = DEFAULT_CFL
+    tolerance: float | None = None
     vtk: bool = True
     plots: bool = True
     expect: Mapping[str, Any] | None = None
@@ -213,6 +214,7 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
     grid_values = {"left": domain.take("left", _number), "cells": domain.take("cells", _whole)}
     time_values = {"end": time.take("end", _number), "snapshots": time.take("snapshots", _count_or_times, 31)}
     method, cfl = solver.take("method", _text, DEFAULT_METHOD), solver.take("cfl", _positive, DEFAULT_CFL)
+    tolerance = solver.take("tolerance", _positive, None)
     vtk, plots = output.take("vtk", _switch, True), output.take("plots", _switch, True)
     for section in (domain, time, solver, output):
         section.finish()
@@ -227,10 +229,12 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
         profile.check(grid, law)
     except InputError as error:
         raise section.error(str(error)) from None
-    return Case(name, source, problem, grid, method, cfl, vtk, plots, expect)
+    return Case(name, source, problem, grid, method, cfl, tolerance, vtk, plots, expect)
 
 
-def resolved_case(problem: Problem, grid: Grid, method: str, cfl: float) -> dict[str, Any]:
+def resolved_case(
+    problem: Problem, grid: Grid, method: str, cfl: float = DEFAULT_CFL, tolerance: float | None = None
+) -> dict[str, Any]:
     """The case, with every default filled in, as a table ready for TOML."""
     snapshots = problem.snapshots
     return {
@@ -242,7 +246,7 @@ def resolved_case(problem: Problem, grid: Grid, method: str, cfl: float) -> dict
             "end": float(problem.end),
             "snapshots": int(snapshots) if isinstance(snapshots, (int, np.integer)) else [float(t) for t in snapshots],
         },
-        "solver": {"method": method, "cfl": float(cfl)},
+        "solver": {"method": method, "cfl": float(cfl)} | ({} if tolerance is None else {"tolerance": tolerance}),
     }
 
 

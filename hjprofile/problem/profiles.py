@@ -104,6 +104,13 @@ class Profile:
         """The leftmost point at which q may differ from 0 by more than `tail`."""
         raise NotImplementedError
 
+    def grid(self, cells: int = 2000) -> Grid:
+        """A grid over the profile, for methods whose accuracy does not depend on it."""
+        start = self.start()
+        if not np.isfinite(start):
+            raise InputError("the left end of this profile is not known: give a grid")
+        return Grid(1.05 * start - 0.05, cells)
+
     def breaks(self, law: ErosionLaw) -> Array:
         """Where q jumps or has a corner: rows (x, q on the left, q on the right), from left to right."""
         return np.empty((0, 3))

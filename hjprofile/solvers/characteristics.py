@@ -10,23 +10,28 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import DOP853
 from scipy.optimize import brentq
 
 from hjprofile.errors import InputError, RunError
+from hjprofile.monitors.bounds import SnapshotBounds
 from hjprofile.problem import Problem
-from hjprofile.problem.case import DEFAULT_CFL, resolved_case
+from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid
-from hjprofile.problem.profiles import Profile
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels import characteristics as kernels
 from hjprofile.solvers.kernels.law import LawTable, law_q_f
 from hjprofile.solvers.panels import POINTS, RULE, SLIVER, TAIL, Panels, cut_into_panels, interpolation, tails
-from hjprofile.solvers.run import Array, Event, KinkRecord, Run, Verdict
+from hjprofile.solvers.run import Array, Event, KinkRecord, Run
 
 TOLERANCE = 1e-12
+FINEST, COARSEST = 1e-13, 1e-4  # tolerances between which the estimate was tested
+COARSER = 100.0  # ratio of the tolerances of the two runs from which the error is estimated
+BUDGET = 30.0  # allowance of a budget in tolerances
+ROUNDING = 1e-14
 FINE = np.cos(np.pi * np.arange(4 * POINTS, -1, -1) / (4 * POINTS))  # where the fold of X is looked for
 SLOPE_AT = interpolation(FINE) @ RULE.D
 CORNER = 1e-3  # part of a panel within which a birth beside a corner is one at the corner
@@ -433,70 +438,107 @@ def solve_characteristics(
 ) -> Run:
     """Solves by shock-fitted characteristics, to `tolerance` in u, and reads the result on a grid (theory, §5).
 
-    The grid is by default 2000 cells over the profile. Where the method cannot go on, `status` says when, where and why,
-    and the last saved time is the last good one. Raises InputError for bad input and where a flux enters at the left.
+    A second run with a coarser tolerance gives `error_estimate`. The grid is by default 2000 cells over the profile.
+    Where the method cannot go on, `status` says when, where and why, and the last saved time is the last good one.
+    Raises InputError for bad input and where a flux enters at the left end.
     """
-    if not 1e-13 <= tolerance <= 1e-2:
-        raise InputError(f"tolerance = {tolerance} must lie between 1e-13 and 1e-2")
+    if not FINEST <= tolerance <= COARSEST:
+        raise InputError(f"tolerance = {tolerance:g} must lie between {FINEST:g} and {COARSEST:g}")
     profile = problem.profile
     if profile.inflow:
         raise InputError("characteristics need q = 0 at the left end; this profile has a flux that enters there")
-    grid = grid or profile_grid(profile)
+    grid = grid or profile.grid()
     problem.check(grid)
-    panels = cut_into_panels(problem, grid.left)
-    q = [float(law_inverse(problem, v)) for v in (panels.r.min(), panels.r.max() + np.ptp(panels.mesh.I))]
-    table = law_table(problem.law, (1.0 + min(q[0], 0.0)) / 2.0 - 1.0, 2.0 * q[1] + 1.0)
-    solver = _Solver(problem, panels, table, tolerance)
     height = float(profile.W(grid.nodes[:1], problem.law)[0])
-    saved, kinks, seconds, status = [], [], 0.0, "done"
-    for target in np.unique(np.append(problem.times, problem.end)):
-        started = time.perf_counter()
-        try:
-            solver.advance(float(target))
-        except Lost as lost:
-            status = (
-                f"stopped at t = {solver.now.t:.6g}, before t = {target:.6g}: {lost}; "
-                "use the method fronts, or a smaller tolerance"
-            )
-            break
-        finally:
-            seconds += time.perf_counter() - started
-        if target in problem.times:
-            saved.append(solver.read(grid.nodes))
-            kinks += solver.kinks()
-        if progress:
-            progress(float(target) / problem.end if problem.end else 1.0)
-    if not saved:
-        raise RunError(status)
-    W, K = (np.array(rows) for rows in zip(*saved, strict=True))
+    try:
+        panels = cut_into_panels(problem, grid.left)
+    except RunError as error:
+        raise RunError(f"stopped at t = 0: {error}; use the method fronts") from None
+    table = _table(problem, panels)
+    coarse = _march(_Solver(problem, panels, table, min(COARSER * tolerance, COARSEST)), problem, grid)
+    fine = _march(_Solver(problem, panels, table, tolerance), problem, grid, progress)
+    if not len(fine.W):
+        raise RunError(fine.status)
+    both = min(len(coarse.W), len(fine.W))
+    apart = float(np.abs(coarse.W[:both] - fine.W[:both]).max()) if both == len(fine.W) else COARSER * tolerance
     return Run(
         title=problem.title,
         method="characteristics",
-        case=resolved_case(problem, grid, "characteristics", DEFAULT_CFL),
-        time=problem.times[: len(saved)],
+        case=resolved_case(problem, grid, "characteristics", tolerance=tolerance),
+        time=problem.times[: len(fine.W)],
         x=grid.nodes,
         x_cell=grid.centres,
-        u=grid.nodes + W + height,
-        q=np.diff(W, axis=1) / grid.dx,
-        K=K,
-        status=status,
-        steps=solver.steps,
-        wall_seconds=seconds,
-        kinks=kinks,
-        events=solver.events,
+        u=grid.nodes + fine.W + height,
+        q=np.diff(fine.W, axis=1) / grid.dx,
+        K=fine.K,
+        status=fine.status,
+        steps=fine.steps,
+        wall_seconds=fine.seconds + coarse.seconds,
+        kinks=fine.kinks,
+        events=fine.events,
+        bounds=fine.watch.bounds,
+        eroded_volume=fine.watch.eroded_volume,
+        outflow=fine.outflow,
+        volume_budget_error=fine.watch.budget_error,
+        error_estimate=max(apart, fine.watch.budget_error) + ROUNDING * (1.0 + float(np.abs(fine.W).max())),
         units=profile.units,
         account=profile.account,
     )
 
 
-def profile_grid(profile: Profile) -> Grid:
-    start = profile.start()
-    if not np.isfinite(start):
-        raise InputError("the left end of this profile is not known: give a grid")
-    return Grid(1.05 * start - 0.05, 2000)
+class _Outcome(NamedTuple):
+    """What one run over all saved times leaves."""
+
+    W: Array
+    K: Array
+    kinks: list[KinkRecord]
+    events: list[Event]
+    watch: SnapshotBounds
+    outflow: float
+    steps: int
+    seconds: float
+    status: str
 
 
-def law_inverse(problem: Problem, r: float) -> float:
-    """q with R(q) = r."""
-    v = brentq(lambda v: float(problem.law.R(np.expm1(v))) - r, -30.0, 60.0)
-    return float(np.expm1(v))
+def _march(solver: _Solver, problem: Problem, grid: Grid, progress: Callable[[float], None] | None = None) -> _Outcome:
+    """Through all saved times, or as far as the method gets."""
+    start = solver.now.panels
+    mass = float(problem.profile.W(np.zeros(1), problem.law)[0] - problem.profile.W(start.X[:1, 0], problem.law)[0])
+    volume = start.volume()
+    # a step may add its tolerance, a panel its own, and the grid reads u to rounding
+    room = BUDGET * (solver.tolerance + ROUNDING) * (1.0 + abs(volume) + float(np.ptp(start.mesh.I)))
+    names = ("mass_budget", "volume_budget", "minimum_principle", "l1_decay")
+    read = room + 4.0 * ROUNDING / grid.dx
+    allowed = {n: (room if n == "volume_budget" else read, "the tolerance") for n in names}
+    watch = SnapshotBounds(grid, mass, volume, allowed)
+    kept, rows, kinks, seconds, status = problem.times, [], [], 0.0, "done"
+    for target in np.unique(np.append(kept, problem.end)).tolist():
+        started = time.perf_counter()
+        try:
+            solver.advance(target)
+        except Lost as lost:
+            status = f"stopped at t = {solver.now.t:.6g}, before t = {target:.6g}: {lost}; use the method fronts"
+            break
+        finally:
+            seconds += time.perf_counter() - started
+        W, K = solver.read(grid.nodes)
+        panels = solver.now.panels
+        watch.observe(target, W, panels.volume(), *panels.totals.tolist())
+        if target in kept:
+            rows.append((W, K))
+            kinks += solver.kinks()
+        if progress:
+            progress(target / problem.end if problem.end else 1.0)
+    W, K = (np.array([row[i] for row in rows]) for i in (0, 1))
+    outflow = float(solver.now.panels.totals[1])
+    return _Outcome(W, K, kinks, solver.events, watch, outflow, solver.steps, seconds, status)
+
+
+def _table(problem: Problem, panels: Panels) -> LawTable:
+    """The law over all that r may become: dead labels go beyond what is alive."""
+    most = float(panels.r.max() + np.ptp(panels.mesh.I))
+    low, high = (
+        np.expm1(brentq(lambda v, r: float(problem.law.R(np.expm1(v))) - r, -30.0, 60.0, args=(r,)))
+        for r in (float(panels.r.min()), most)
+    )
+    return law_table(problem.law, 0.5 * (1.0 + min(low, 0.0)) - 1.0, 2.0 * high + 1.0)

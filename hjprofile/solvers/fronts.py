@@ -15,8 +15,9 @@ import numpy as np
 from scipy.integrate import DOP853
 
 from hjprofile.errors import InputError, RunError
+from hjprofile.monitors.bounds import SnapshotBounds
 from hjprofile.problem import Problem
-from hjprofile.problem.case import DEFAULT_CFL, resolved_case
+from hjprofile.problem.case import resolved_case
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Kinks
@@ -24,7 +25,7 @@ from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels import fronts as kernels
 from hjprofile.solvers.kernels.exact_fronts import advance_exactly
 from hjprofile.solvers.kernels.law import LawTable, law_q_f, start_pieces
-from hjprofile.solvers.run import Array, Event, KinkRecord, Run, Verdict
+from hjprofile.solvers.run import Array, Event, KinkRecord, Run
 
 REACH = 4.0  # spacings that the fastest front may cross in a step: then time adds little to the error of space
 FAN = 0.25  # most that a front of a fan may change ln R: coarser ones, where q changes its sign, run off towards q = -1
@@ -242,18 +243,27 @@ def track_fronts(
     profile = problem.profile
     if profile.inflow:
         raise InputError("front tracking needs q = 0 at the left end; this profile has a flux that enters there")
-    if grid is None:
-        start = profile.start()
-        if not np.isfinite(start):
-            raise InputError("the left end of this profile is not known: give a grid")
-        grid = Grid(1.05 * start - 0.05, 2000)
+    grid = grid or profile.grid()
     problem.check(grid)
     data, table = cut_into_fronts(problem, grid.left, fronts)
     tracker = _Tracker(data, table, exact=data.kinks_only if exact is None else exact)
     height = float(profile.W(grid.nodes[:1], problem.law)[0])
 
     kept, saved, kinks = problem.times, [], []
-    watch = _Budgets(tracker, grid)
+    scale = 1.0 + float(np.abs(data.jump).sum())
+    read = ROUNDING * scale
+    second = "second order in the spacing of fronts"
+    allowed = dict.fromkeys(("mass_budget", "volume_budget", "minimum_principle", "l1_decay"), (read, "rounding"))
+    if not data.kinks_only:
+        allowed = dict.fromkeys(allowed, (read + ROUGH * data.spacing**2 * scale, second))
+        # F(0) is a sawtooth while small fronts leave, and its integral over a step first order
+        allowed["mass_budget"] = (
+            allowed["mass_budget"][0] + data.spacing * scale,
+            "first order in the spacing of fronts",
+        )
+    if tracker.exact:
+        allowed |= dict.fromkeys(("mass_budget", "volume_budget"), (read, "rounding"))
+    watch = SnapshotBounds(grid, data.top, tracker.volume(), allowed)
     tracker.advance(0.0)  # compiles what is to be compiled
     seconds, status = 0.0, "done"
     for target in np.unique(np.append(kept, problem.end)):
@@ -269,7 +279,7 @@ def track_fronts(
                 "the method godunov"
             )
             break
-        watch.observe(float(target), W)
+        watch.observe(float(target), W, tracker.volume(), *tracker.totals[:2])
         if target in kept:
             saved.append((W, K))
             kinks += tracker.kinks()
@@ -282,7 +292,7 @@ def track_fronts(
     return Run(
         title=problem.title,
         method="fronts",
-        case=resolved_case(problem, grid, "fronts", DEFAULT_CFL),
+        case=resolved_case(problem, grid, "fronts"),
         time=kept[: len(saved)],
         x=grid.nodes,
         x_cell=grid.centres,
@@ -295,9 +305,9 @@ def track_fronts(
         kinks=kinks,
         events=sorted(tracker.events, key=lambda e: (e.time, e.kink)),
         bounds=watch.bounds,
-        eroded_volume=watch.eroded,
+        eroded_volume=watch.eroded_volume,
         outflow=float(tracker.totals[1]),
-        volume_budget_error=watch.off,
+        volume_budget_error=watch.budget_error,
         units=profile.units,
         account=profile.account,
     )
@@ -309,53 +319,3 @@ def _first_fault(W: Array, K: Array, grid: Grid) -> int | None:
     bad = ~(np.isfinite(K) & (K > 0.0))
     bad[1:] |= ~(np.isfinite(q) & (q > -1.0))
     return int(np.flatnonzero(bad)[-1]) if bad.any() else None
-
-
-class _Budgets:
-    """Bounds and budgets of a front-tracking run: to rounding where it is exact, else second order in the spacing.
-
-    Volume and mass are those of the fronts themselves; the bounds on q are judged on the cell means that are kept.
-    """
-
-    def __init__(self, tracker: _Tracker, grid: Grid):
-        self.tracker, self.grid = tracker, grid
-        self.bounds: dict[str, Verdict] = {}
-        self.first = tracker.volume()
-        self.top = tracker.data.top
-        self.norm = np.inf
-        self.floor = 0.0
-        self.eroded = self.off = 0.0
-        scale = 1.0 + float(np.abs(tracker.jump).sum())
-        spacing = 0.0 if tracker.data.kinks_only else tracker.data.spacing
-        read = ROUNDING * scale + ROUGH * spacing**2 * scale
-        second = "second order in the spacing of fronts"
-        # F(0) is a sawtooth while small fronts leave, and its integral over a step first order
-        self.allowed = {
-            "mass_budget": (read + spacing * scale, "first order in the spacing of fronts"),
-            "volume_budget": (read, second),
-            "minimum_principle": (read, second),
-            "l1_decay": (read, second),
-        }
-        if tracker.exact:
-            self.allowed |= dict.fromkeys(("mass_budget", "volume_budget"), (ROUNDING * scale, "rounding"))
-
-    def observe(self, t: float, W: Array) -> None:
-        q = np.diff(W) / self.grid.dx
-        norm, least = float(np.abs(np.diff(W)).sum()), float(q.min())
-        if np.isinf(self.norm):
-            self.norm, self.floor = norm, min(least, 0.0)
-        totals = self.tracker.totals
-        self.eroded = self.first - self.tracker.volume()
-        off = abs(self.eroded - totals[0])
-        self.off = max(self.off, off)
-        for name, excess in (
-            ("mass_budget", abs(float(W[-1]) - self.top + totals[1])),
-            ("volume_budget", off),
-            ("minimum_principle", max(self.floor - least, 0.0)),
-            ("l1_decay", max(norm - self.norm, 0.0)),
-        ):
-            allowed, allowance = self.allowed[name]
-            margin = 1.0 - float(excess) / (allowed * (1.0 + t))
-            if name not in self.bounds or margin < self.bounds[name].worst_margin:
-                self.bounds[name] = Verdict(margin >= 0.0, margin, t, allowance)
-        self.norm = min(self.norm, norm)

@@ -4,23 +4,29 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable
+from dataclasses import replace
 
-from hjprofile.errors import InputError
+import numpy as np
+
+from hjprofile.errors import InputError, RunError
 from hjprofile.monitors.bounds import BoundsMonitor
 from hjprofile.monitors.kinks import KinkTracker
 from hjprofile.problem import Problem
 from hjprofile.problem.case import DEFAULT_CFL, DEFAULT_METHOD, Case, resolved_case
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers import conservation, hj
+from hjprofile.solvers.characteristics import FINEST, TOLERANCE, solve_characteristics
 from hjprofile.solvers.fronts import track_fronts
 from hjprofile.solvers.march import Scheme, march
 from hjprofile.solvers.run import Run
 
 Progress = Callable[[float], None]
 
+FRONTS = 1600, 12800  # where characteristics cannot go on: the first try, and the most
+
 HJ_METHODS = tuple(hj.FLUXES)
 CONSERVATIVE_METHODS = ("conservative", *conservation.FLUXES)
-METHODS = (*HJ_METHODS, *CONSERVATIVE_METHODS, "fronts")
+METHODS = (*HJ_METHODS, *CONSERVATIVE_METHODS, "fronts", "characteristics", "auto")
 
 
 def solve_hj(
@@ -57,10 +63,42 @@ def solve_conservative(
     return _solve(conservation.scheme(problem, grid, method), problem, grid, method, cfl, progress)
 
 
+def solve(problem: Problem, tolerance: float, grid: Grid | None = None, progress: Progress | None = None) -> Run:
+    """Solves to a tolerance on sup|u - exact u| over all saved times: by characteristics, else by fronts.
+
+    `error_estimate` says what was reached, and `account` what was done where characteristics cannot go on.
+    """
+    problem.check(grid := grid or problem.profile.grid())
+    try:
+        run = solve_characteristics(problem, grid, max(0.1 * tolerance, FINEST), progress)
+        if run.done:
+            return run
+        why = run.status
+    except RunError as error:
+        why = str(error)
+    fronts = FRONTS[0]
+    coarse = track_fronts(problem, grid, fronts // 2)
+    while True:
+        run = track_fronts(problem, grid, fronts, progress)
+        both = min(len(run.u), len(coarse.u))
+        estimate = float(np.abs(run.u[:both] - coarse.u[:both]).max())
+        if estimate <= tolerance or fronts >= FRONTS[1] or not run.done:
+            break
+        fronts, coarse = 2 * fronts, run
+    account = f"characteristics {why.partition('; use')[0]}; solved with {fronts} fronts instead"
+    if estimate > tolerance:
+        account += f", whose error of about {estimate:.2g} exceeds the tolerance"
+    return replace(run, error_estimate=estimate, account="; ".join(filter(None, (run.account, account))))
+
+
 def check_method(case: Case) -> None:
-    """Raises InputError if the case asks for a method that does not exist."""
+    """Raises InputError if the case asks for a method that does not exist, or for one without what it needs."""
     try:
         _known(case.method, METHODS)
+        if case.tolerance is not None and case.method not in ("characteristics", "auto"):
+            raise InputError(f"tolerance applies to the methods characteristics and auto, not to {case.method}")
+        if case.tolerance is None and case.method == "auto":
+            raise InputError("method = 'auto' needs a tolerance")
     except InputError as error:
         raise InputError(f"{case.source}: [solver] {error}") from None
 
@@ -68,10 +106,15 @@ def check_method(case: Case) -> None:
 def solve_case(case: Case, progress: Progress | None = None) -> Run:
     """Solves a case by its own method."""
     check_method(case)
+    if case.method == "auto":
+        assert case.tolerance is not None
+        return solve(case.problem, case.tolerance, case.grid, progress)
+    if case.method == "characteristics":
+        return solve_characteristics(case.problem, case.grid, case.tolerance or TOLERANCE, progress)
     if case.method == "fronts":
         return track_fronts(case.problem, case.grid, progress=progress)
-    solve = solve_hj if case.method in HJ_METHODS else solve_conservative
-    return solve(case.problem, case.grid, case.method, case.cfl, progress)
+    on_grid = solve_hj if case.method in HJ_METHODS else solve_conservative
+    return on_grid(case.problem, case.grid, case.method, case.cfl, progress)
 
 
 def _known(method: str, methods: tuple[str, ...]) -> None:

@@ -7,6 +7,7 @@ I = W + r are polynomials of the label.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -43,6 +44,8 @@ def _primitives() -> list[Array]:
 
 RULE = _rule()
 TO_COEFFICIENTS = np.linalg.inv(chebyshev.chebvander(RULE.s, POINTS - 1))
+
+GAUSS = np.polynomial.legendre.leggauss(POINTS)
 
 
 def interpolation(s: Array) -> Array:
@@ -115,6 +118,16 @@ class Panels:
         high[p] = s
         high[p + 1 :] = -1.0
         return low, high
+
+    def volume(self) -> float:
+        """∫W dx over the living labels, by Gauss-Legendre quadrature."""
+        total = 0.0
+        for p, (low, high) in enumerate(zip(*self.living(), strict=True)) if len(self.r) else ():
+            if high > low:
+                row = interpolation(0.5 * (low + high) + 0.5 * (high - low) * GAUSS[0])
+                W, slope = row @ (self.mesh.I[p] - self.r[p]), row @ (RULE.D @ self.X[p])
+                total += 0.5 * (high - low) * float(GAUSS[1] @ (W * slope))
+        return total
 
     def resampled(self, pieces: list[tuple[int, float, float]], first: Array) -> Panels:
         """Panels made of parts (panel, low s, high s) of these; `first` counts the new ones."""
@@ -213,7 +226,7 @@ def _fan(x: float, W: float, r_left: float, r_right: float) -> list:
     pieces = int(np.ceil(np.log(r_left / r_right) / FAN))
     joints = np.linspace(np.log(r_left), np.log(r_right), pieces + 1)
     columns = []
-    for i, (a, b) in enumerate(zip(joints[:-1], joints[1:], strict=True)):
+    for i, (a, b) in enumerate(pairwise(joints.tolist())):
         r = np.exp(0.5 * (a + b) + 0.5 * (b - a) * RULE.s)
         columns.append((r, np.full(POINTS, x), W + r, 0.5 * (b - a) * r, 0.5 * (a - b), i > 0))
     return columns

@@ -84,6 +84,7 @@ class Run:
         eroded_volume: ∫(u(0,x) - u(t,x)) dx at the end.
         outflow: ∫F(x = 0) dt at the end: excess slope that has left at the top.
         volume_budget_error: the most by which the eroded volume ever differed from ∫(K(left) - 1) dt.
+        error_estimate: of sup|u - exact u| over all saved times, where the method knows one, else None.
         units: the way back to a survey's units, else None.
         account: what was done to the data, or "".
     """
@@ -107,6 +108,7 @@ class Run:
     eroded_volume: float = np.nan
     outflow: float = np.nan
     volume_budget_error: float = np.nan
+    error_estimate: float | None = None
     units: Units | None = None
     account: str = ""
 
