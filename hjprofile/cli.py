@@ -189,7 +189,7 @@ def _account(run: Run) -> str:
 
 def _check_line(c: Check) -> str:
     order = f"order {c.order:.2f}, " if c.order is not None else ""
-    cells = f" on {c.cells[-1]} cells"
+    cells = f" on {c.cells[-1]} {'fronts' if ':fronts:' in c.name else 'cells'}"
     return f"{'passes' if c.passes else 'FAILS '}  {c.name:36} {order}{c.error[-1]:.2g}{cells}  ({c.rule})"
 
 

@@ -184,7 +184,7 @@ def test_check_passes(folder, call):
     assert (case["case"], case["title"], case["passes"], content["passes"]) == ("short", "Kurz", True, True)
     lines = out.splitlines()
     assert lines[0] == "short: passes" and lines[-1] == "written to results/short/check.json"
-    kinds = {"bounds", "identity", "independence", "kinks", "budget", "fronts"}
+    kinds = {"bounds", "identity", "independence", "kinks", "budget", "characteristics"}
     assert {c["name"].split(":")[0] for c in case["comparisons"]} == kinds
     for c in case["comparisons"]:
         assert c["passes"] is True and len(c["cells"]) == len(c["error"]) > 0

@@ -20,7 +20,7 @@ def test_sound_solvers_pass():
     checks = check_consistency(*KINK)
     assert all(c.passes for c in checks)
     names = {c.name.split(":")[0] for c in checks}
-    assert names == {"bounds", "identity", "independence", "kinks", "budget", "fronts"}
+    assert names == {"bounds", "identity", "independence", "kinks", "budget", "characteristics"}
     for c in checks:
         if c.name.startswith("independence"):
             assert len(c.cells) >= 4 and c.order is not None

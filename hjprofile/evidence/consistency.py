@@ -31,8 +31,8 @@ ROUNDING = 1e-10
 # of 250 to 2000 cells. Solvers of different equations show 0.
 ORDER_Q = 0.25
 ORDER_U = 0.5
-# The second-order solver's distance from the exact solution as a part of Godunov's on the same grid: measured 0.007 to 0.06
-# beside kinks (0.11 in short runs from sharp data), 0.08 to 0.3 in the fans that open at downward jumps. One
+# The second-order solver's distance from the exact solution as a part of Godunov's on the same grid: measured 0.005 to
+# 0.06 beside kinks (0.11 in short runs from sharp data), 0.08 to 0.3 in the fans that open at downward jumps. One
 # that has become first order shows 2.3 for a K shifted by a cell, 0.2 for a K that is a stage old.
 SHARE, SHARE_WITH_FANS = 0.18, 0.5
 ORDER_CONSERVATIVE = 1.4

@@ -113,6 +113,7 @@ class _Solver:
                 raise Lost(self._why())
             panels, error = self._try(h)
             if not error <= 1.0:
+                self.h = 0.0
                 h *= 0.3 if not np.isfinite(error) else max(0.2, 0.9 * error**-0.125)
                 continue
             rough = self._rough(panels)
@@ -124,13 +125,13 @@ class _Solver:
                 continue
             break
         self.steps += 1
+        before = h
         crossed = [e for e, value in self._signs(panels).items() if value < 0.0]
         reached = h == left
         if crossed:
             h, panels, event = self._first_event(crossed, h, panels)
             reached = False
         t = target if reached else now.time(now.clock(now.t) + h)
-        before = h
         self.now = _Stretch(panels, t, now.origin)
         if crossed:
             self._apply(event)
@@ -139,8 +140,10 @@ class _Solver:
             if trimmed is not self.now.panels or crossed:
                 self.now = replace(self.now, panels=trimmed)
                 self._room()
-        if not crossed:
-            self.h = before * (min(2.0, 0.9 * error**-0.125) if error > 0.0 else 2.0)
+        if not crossed:  # a step that only a saved time cut short says nothing against longer ones
+            self.h = max(self.h, before * (min(2.0, 0.9 * error**-0.125) if error > 0.0 else 2.0))
+        elif self.h == 0.0:
+            self.h = before
 
     def _why(self) -> str:
         if self.found > 0:

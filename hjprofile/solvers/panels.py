@@ -196,9 +196,8 @@ def cut_into_panels(problem: Problem, left: float) -> Panels:
     """
     law, profile = problem.law, problem.profile
     start = profile.start(tail=1e-17)
-    start = left if not np.isfinite(start) else max(start, left)
+    start = max(start, left) if start < 0.0 else left
     breaks = profile.breaks(law)
-    breaks = breaks[breaks[:, 0] < 0.0]
     marks = np.unique(np.concatenate([[start], breaks[:, 0], [0.0]]))
     at = dict(zip(breaks[:, 0].tolist(), breaks[:, 1:].tolist(), strict=True))
     columns: list[tuple[Array, Array, Array, Array, float, bool]] = []  # r, X, I, dI, half, joined

@@ -1,0 +1,205 @@
+"""Shock-fitted characteristics: closed forms, births, merges and fans to 1e-11, and never a wrong answer."""
+
+import numpy as np
+import oracles
+import pytest
+from random_profiles import random_bumps, random_pieces
+
+import hjprofile as hj
+from hjprofile.solvers.characteristics import Lost, _Solver
+from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink
+from hjprofile.solvers.panels import RULE, cut_into_panels, interpolation, tails
+
+LAWS = {"rational": hj.rational(), "log": hj.log(), "power": hj.power(3.0)}
+LAWS["user"] = hj.expression("sqrt(1+q) - 1/sqrt(1+q)")
+T2 = hj.bumps([0.8, -0.3], [-5.0, -3.0], [1.0, 0.5])
+GRID = hj.Grid(-11.0, 1000)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_one_kink(law):
+    """Measured 3e-14 for the rational law, 4e-12 for the others, whose closed form is an integration itself."""
+    exact = travelling_kink(LAWS[law], 1.0, -6.0)
+    problem = hj.Problem(LAWS[law], hj.kinks([-6.0], [1.0]), end=1.1 * exact.exit_time, snapshots=9)
+    run = hj.solve_characteristics(problem, GRID)
+    most = 2e-13 if law == "rational" else 1e-11
+    for i, t in enumerate(run.time):
+        assert np.abs(run.u[i] - exact.u(t, run.x)).max() <= most
+        assert np.abs(run.K[i] - exact.K(t, run.x)).max() <= 10 * most
+        assert [k.x for k in run.kinks_at(i)] == pytest.approx([exact.kink(t)] if t < exact.exit_time else [], abs=most)
+    (leaving,) = run.events
+    assert leaving.event == "exit" and abs(leaving.time - exact.exit_time) <= most
+    assert run.done and all(b.holds for b in run.bounds.values())
+
+
+def test_kink_into_the_steady_slope():
+    exact = kink_into_steady_slope(hj.rational(), 0.5, -1.0)
+    problem = hj.Problem(hj.rational(), hj.steady(0.5, -1.0), end=1.2 * exact.exit_time, snapshots=7)
+    run = hj.solve_characteristics(problem, hj.Grid(-2.0, 700))
+    assert max(np.abs(run.u[i] - exact.u(t, run.x)).max() for i, t in enumerate(run.time)) <= 1e-13
+    assert abs(run.events[0].time - exact.exit_time) <= 1e-13
+
+
+def test_three_kinks_merge_twice_and_leave():
+    positions, amplitudes = [-7.0, -6.2, -5.0], [0.4, 1.2, 2.0]
+    events, _ = oracles.kinks_to_the_end(positions, amplitudes, 20.0)
+    problem = hj.Problem(hj.rational(), hj.kinks(positions, amplitudes), end=10.0, snapshots=11)
+    run = hj.solve_characteristics(problem, GRID)
+    assert [(e.event, e.kink, e.into) for e in run.events] == [("merge", 2, 1), ("merge", 3, 1), ("exit", 1, None)]
+    for found, (t, event, x) in zip(run.events, events, strict=True):
+        assert found.event == event and abs(found.time - t) <= 1e-11 and abs(found.x - x) <= 1e-11
+    fronts = hj.track_fronts(problem, GRID)
+    assert np.abs(fronts.u - run.u).max() <= 1e-11  # measured 4e-13
+    assert np.abs(fronts.K - run.K).max() <= 1e-10
+
+
+def test_two_births_on_the_double_bump():
+    """Times and places of birth known to twelve digits; the solution against half its tolerance and against fronts."""
+    problem = hj.Problem(hj.rational(), T2, end=2.0, snapshots=5)
+    run = hj.solve_characteristics(problem, GRID)
+    births = [(0.835607544264, -1.487658502086), (0.86999046738, -5.190940861589)]
+    for event, (t, x) in zip(run.events, births, strict=True):
+        assert event.event == "birth" and abs(event.time - t) <= 1e-11 and abs(event.x - x) <= 1e-11
+    finest = hj.solve_characteristics(problem, GRID, 1e-13)
+    assert np.abs(run.u - finest.u).max() <= 1e-12  # measured 6e-14
+    assert run.error_estimate <= 1e-11 and run.volume_budget_error <= 1e-12
+    coarse, fine = (hj.track_fronts(problem, GRID, n).u for n in (800, 1600))
+    apart = [np.abs(fronts - run.u).max() for fronts in (coarse, fine)]
+    assert apart[1] <= 2e-5 and 3.5 <= apart[0] / apart[1] <= 4.6  # second order
+
+
+def test_the_smooth_double_bump():
+    W = oracles.t2_smooth_solution(0.5)
+    grid, problem = hj.Grid(-10.0, 1000), hj.Problem(hj.rational(), T2, end=0.5, snapshots=2)
+    run, sharp = (hj.solve_characteristics(problem, grid, e) for e in (1e-12, 1e-13))
+    assert np.abs(run.u[-1] - run.x - W(run.x)).max() <= 1e-7  # the oracle's own error is 3e-8
+    assert np.abs(run.u - sharp.u).max() <= 1e-13
+
+
+SCENES = {
+    "merging bumps": hj.bumps([0.9, 0.6], [-7.0, -5.2], [0.5, 0.6]),
+    "hat": hj.points([-6.0, -5.0, -4.0], [0.0, 0.8, 0.0]),
+    "steps up and down": hj.steps([-6.0, -5.0, -4.0, -3.0], [0.5, 1.5, 0.3]),
+    "shock and fan": hj.steps([-6.0, -5.0], [1.0]),
+    "below critical": hj.steps([-6.0, -5.0, -3.5], [-0.5, 0.8]),
+}
+
+
+@pytest.mark.parametrize("law", ["rational", "log", "power"])
+@pytest.mark.parametrize("scene", SCENES)
+def test_scenes_with_births_merges_and_fans(scene, law):
+    """Against its own finest run, and against fronts extrapolated from 1600 and 3200."""
+    problem = hj.Problem(LAWS[law], SCENES[scene], end=4.0, snapshots=3)
+    run, finest = (hj.solve_characteristics(problem, GRID, e) for e in (1e-11, 1e-13))
+    assert run.done and all(b.holds for b in run.bounds.values())
+    assert np.abs(run.u - finest.u).max() <= 1e-10
+    assert [e[1:4] for e in run.events] == [e[1:4] for e in finest.events]
+    coarse, fine = (hj.track_fronts(problem, GRID, n).u for n in (1600, 3200))
+    off = np.abs(fine + (fine - coarse) / 3.0 - run.u).max()
+    assert off <= 0.4 * np.abs(fine - coarse).max()  # extrapolation leaves a part of what the last doubling changed
+
+
+def test_two_kinks_born_at_one_moment():
+    """Two bumps far apart over flat ground, the left one slower by what the right one adds to K: nearly one moment."""
+    run = hj.solve_characteristics(
+        hj.Problem(hj.rational(), hj.points([-8, -7, -6.5, -4, -3, -2.5], [0, 0.8, 0, 0, 0.8, 0]), end=3.0), GRID
+    )
+    assert run.done and sum(e.event == "birth" for e in run.events) == 2
+    assert run.volume_budget_error <= 1e-10
+
+
+def test_hillslope():
+    case = hj.load_case("hillslope")
+    run = hj.solve_characteristics(case.problem, case.grid, 1e-9)
+    assert run.done and run.error_estimate <= 1e-7
+    apart = [np.abs(hj.track_fronts(case.problem, case.grid, n).u - run.u).max() for n in (1600, 3200)]
+    assert apart[1] <= 1e-4 and apart[1] <= 0.5 * apart[0]
+
+
+def check_random(make, count, seed):
+    rng = np.random.default_rng(seed)
+    failures, doubtful = 0, 0
+    for i in range(count):
+        profile, law, end = make(rng), list(LAWS.values())[i % 3], float(rng.choice([0.3, 1.0, 3.0]))
+        problem = hj.Problem(law, profile, end=end, snapshots=3)
+        try:
+            run, finest = (hj.solve_characteristics(problem, hj.Grid(-13.0, 400), e) for e in (1e-9, 1e-11))
+        except hj.RunError as error:
+            assert "fronts" in str(error)
+            failures += 1
+            continue
+        if not (run.done and finest.done):
+            assert "fronts" in run.status + finest.status
+            failures += 1
+            continue
+        assert np.isfinite(run.u).all() and (run.q > -1.0).all() and (run.K > 0.0).all()
+        assert all(b.holds for b in run.bounds.values()), (i, run.bounds)
+        error = np.abs(run.u - finest.u).max()
+        doubtful += error > run.error_estimate
+        fronts = hj.track_fronts(problem, hj.Grid(-13.0, 400), 800)
+        assert np.abs(fronts.u - run.u).max() <= 0.1  # rough data, few fronts: against gross errors
+    assert failures <= 0.005 * count and doubtful <= max(0.02 * count, 1)
+
+
+@pytest.mark.parametrize("make", [random_bumps, random_pieces])
+def test_random_profiles(make):
+    check_random(make, 20, seed=3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [random_bumps, random_pieces])
+def test_a_thousand_random_profiles(make):
+    check_random(make, 1000, seed=4)
+
+
+def test_what_is_refused_and_what_is_told():
+    with pytest.raises(hj.InputError, match="flux that enters"):
+        hj.solve_characteristics(hj.Problem(hj.rational(), hj.steady(0.4), end=1.0), hj.Grid(-3.0, 100))
+    with pytest.raises(hj.InputError, match="tolerance = 1e-20 must lie between"):
+        hj.solve_characteristics(hj.Problem(hj.rational(), T2, end=1.0), GRID, 1e-20)
+    kinked = hj.profile(lambda x: x + np.where(x > -2.1234567, 0.3 * (x + 2.1234567), 0.0))
+    with pytest.raises(hj.RunError, match=r"not smooth near x = -2\.12.*use the method fronts"):
+        hj.solve_characteristics(hj.Problem(hj.rational(), kinked, end=1.0), hj.Grid(-4.0, 100))
+
+
+def test_auto_goes_on_with_fronts_and_says_so():
+    kinked = hj.profile(lambda x: x + np.where(x > -2.1234567, 0.3 * (x + 2.1234567), 0.0))
+    run = hj.solve(hj.Problem(hj.rational(), kinked, end=0.5, snapshots=2), 1e-3, hj.Grid(-4.0, 100))
+    assert run.done and run.method == "fronts" and run.error_estimate <= 1e-3
+    assert "not smooth near x = -2.12" in run.account and "fronts instead" in run.account
+    smooth = hj.solve(hj.Problem(hj.rational(), T2, end=0.5, snapshots=2), 1e-6, GRID)
+    assert smooth.method == "characteristics" and smooth.error_estimate <= 1e-6
+
+
+def test_lost_labels_stop_the_run_with_the_last_good_state(monkeypatch):
+    advance = _Solver.advance
+
+    def lose(self, target):
+        if target > 1.0:
+            raise Lost("the labels of kink 1 cannot be told")
+        advance(self, target)
+
+    monkeypatch.setattr(_Solver, "advance", lose)
+    run = hj.solve_characteristics(hj.Problem(hj.rational(), T2, end=2.0, snapshots=5), GRID)
+    assert not run.done and run.time.tolist() == [0.0, 0.5, 1.0]
+    assert run.status.startswith("stopped at t = 1, before t = 1.5: the labels of kink 1")
+    assert run.status.endswith("use the method fronts")
+
+
+def test_flat_slope_and_a_kink_at_the_very_top():
+    for profile in (hj.steps([-2.0, -1.0], [0.0]), hj.kinks([0.0], [1.0])):
+        run = hj.solve_characteristics(hj.Problem(hj.log(), profile, end=1.0, snapshots=3), hj.Grid(-3.0, 60))
+        assert run.done and np.abs(run.u - run.x).max() <= 1e-12
+
+
+def test_panels():
+    s = np.linspace(-1.2, 1.2, 7)
+    values = np.exp(RULE.s)
+    assert np.abs(interpolation(s) @ values - np.exp(s)).max() <= 1e-12
+    assert np.abs(RULE.D @ values - values).max() <= 1e-11
+    assert np.abs(RULE.B @ values - (np.e - np.exp(RULE.s))).max() <= 1e-14
+    assert tails(values[None, :])[0] <= 1e-12 < 1e-3 < tails(np.abs(RULE.s)[None, :])[0]
+    panels = cut_into_panels(hj.Problem(hj.rational(), T2, end=1.0), -11.0)
+    split = panels.split({2: 0.3, 5: -0.7})
+    assert split.volume() == pytest.approx(panels.volume(), abs=1e-13)
+    assert len(split.r) == len(panels.r) + 2 and np.all(np.diff(split.X.ravel()) >= -1e-15)
