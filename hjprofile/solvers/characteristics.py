@@ -241,14 +241,18 @@ class _Solver:
         slopes[high <= low] = np.inf
         at = slopes.argmin(axis=1)
         value, where = slopes[np.arange(len(at)), at], FINE[at]
-        for p in np.flatnonzero(value < 0.05):
-            if 0 < at[p] < FINE.size - 1:  # the minimum between the points, by Newton's method
-                second, third = (np.linalg.matrix_power(RULE.D, n) @ panels.X[p] for n in (2, 3))
-                s = where[p]
-                for _ in range(4):
-                    row = interpolation(np.array([s]))[0]
-                    s = min(max(s - row @ second / (row @ third), FINE[at[p] - 1], low[p]), FINE[at[p] + 1], high[p])
-                where[p], value[p] = s, interpolation(np.array([s]))[0] @ RULE.D @ panels.X[p] / panels.mesh.half[p]
+        for p in np.flatnonzero(value < 0.05):  # the minimum between the points, by Newton's method
+            second, third = (np.linalg.matrix_power(RULE.D, n) @ panels.X[p] for n in (2, 3))
+            least = max(FINE[max(at[p] - 1, 0)], low[p])
+            most = min(FINE[min(at[p] + 1, FINE.size - 1)], high[p])
+            s = where[p]
+            for _ in range(4):
+                row = interpolation(np.array([s]))[0]
+                bend = float(row @ third)
+                s = min(max(s - float(row @ second) / bend, least), most) if bend > 0.0 else s
+            slope = float(interpolation(np.array([s]))[0] @ RULE.D @ panels.X[p] / panels.mesh.half[p])
+            if slope < value[p]:
+                where[p], value[p] = s, slope
         return value, where
 
     def _first_event(self, crossed: list, h: float, panels: Panels) -> tuple[float, Panels, tuple[str, int]]:
@@ -356,9 +360,14 @@ class _Solver:
     def _birth(self, p: int) -> None:
         """A shock where X first folds: a joint of segments there, and how its labels will part."""
         panels, t = self.now.panels, self.now.t
-        s = float(self._folds(panels)[1][p])
+        values, places = self._folds(panels)
         mesh = panels.mesh
         k = panels.segment(p)
+        if p + 1 < mesh.first[k + 1] and mesh.joined[p + 1] and values[p + 1] < values[p]:
+            p += 1  # the fold lies just across a joint
+        elif p > mesh.first[k] and mesh.joined[p] and values[p - 1] < values[p]:
+            p -= 1
+        s = float(places[p])
         left_end = p == mesh.first[k] or not mesh.joined[p]
         right_end = p == mesh.first[k + 1] - 1 or not mesh.joined[p + 1]
         at_left, at_right = left_end and s < -1.0 + CORNER, right_end and s > 1.0 - CORNER
@@ -483,7 +492,7 @@ def solve_characteristics(
         eroded_volume=fine.watch.eroded_volume,
         outflow=fine.outflow,
         volume_budget_error=fine.watch.budget_error,
-        error_estimate=max(apart, fine.watch.budget_error) + ROUNDING * (1.0 + float(np.abs(fine.W).max())),
+        error_estimate=2.0 * max(apart, fine.watch.budget_error) + 10.0 * ROUNDING * (1.0 + np.abs(fine.W).max()),
         units=profile.units,
         account=profile.account,
     )
