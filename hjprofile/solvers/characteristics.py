@@ -207,11 +207,14 @@ class _Solver:
         mesh, M = panels.mesh, panels.shocks
         first, width = mesh.first, 2.0 * mesh.half
         signs: dict[tuple[str, int], float] = {}
-        for p, value in enumerate(self._folds(panels)[0]):
-            if only is None:
-                signs["birth", p] = 1.0 if value > -self.threshold else value
-            elif ("birth", p) in only:
-                signs["birth", p] = value
+        if only is None:
+            folds = self._folds(panels)[0]
+            signs |= {("birth", int(p)): float(folds[p]) for p in np.flatnonzero(folds < -self.threshold)}
+        elif births := [e for e in only if e[0] == "birth"]:
+            folds = self._folds(panels)[0]
+            signs |= {e: float(folds[e[1]]) for e in births}
+            if len(births) == len(only):
+                return signs
         for k in range(M):
             if k > 0:
                 signs["merge", k] = width[first[k] : first[k + 1]].sum() - panels.off[k - 1, 1] - panels.off[k, 0]
@@ -241,7 +244,7 @@ class _Solver:
         slopes[high <= low] = np.inf
         at = slopes.argmin(axis=1)
         value, where = slopes[np.arange(len(at)), at], FINE[at]
-        for p in np.flatnonzero(value < 0.05):  # the minimum between the points, by Newton's method
+        for p in np.flatnonzero(value < 0.02):  # the minimum between the points, by Newton's method
             second, third = (np.linalg.matrix_power(RULE.D, n) @ panels.X[p] for n in (2, 3))
             least = max(FINE[max(at[p] - 1, 0)], low[p])
             most = min(FINE[min(at[p] + 1, FINE.size - 1)], high[p])
