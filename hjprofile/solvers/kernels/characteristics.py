@@ -57,7 +57,8 @@ def weights(rule, s, w):
     for j in range(w.size):
         d = s - rule.s[j]
         if d == 0.0:
-            w[:] = 0.0
+            for i in range(w.size):
+                w[i] = 0.0
             w[j] = 1.0
             return
         w[j] = rule.bary[j] / d
@@ -161,8 +162,8 @@ def newton_labels(k, off, r, X, mesh, rule, law, w):
 
 @compiled
 def beside(side, k, off, r, X, mesh, rule, w):
-    """Local place, X, W and X_ξ of the label `off` from the joint of shock k: 0 on its left, 1 on its right."""
-    p, s = before_end(off, k, mesh) if side == 0 else after_start(off, k + 1, mesh)
+    """Local place, X, W and X_ξ of the label `off` from the joint of shock k, on its left (side = -1.0) or right (1.0)."""
+    p, s = before_end(off, k, mesh) if side < 0.0 else after_start(off, k + 1, mesh)
     rate, at, W, slope = at_label(p, s, r, X, mesh, rule, w)
     return s, at, W, slope / mesh.half[p]
 
@@ -170,7 +171,7 @@ def beside(side, k, off, r, X, mesh, rule, w):
 @compiled
 def fold(side, k, r, X, mesh, rule, w):
     """Least `off` beyond which X rises with the label; NaN if it is not on the panels at the joint."""
-    step = 0.1 * (mesh.half[mesh.first[k + 1] - 1] if side == 0 else mesh.half[mesh.first[k + 1]])
+    step = 0.1 * mesh.half[mesh.first[k + 1] - 1 if side < 0.0 else mesh.first[k + 1]]
     low = high = 0.0
     while True:
         s, _, _, slope = beside(side, k, high, r, X, mesh, rule, w)
@@ -192,15 +193,14 @@ def fold(side, k, r, X, mesh, rule, w):
 
 @compiled
 def label_of(side, k, target, of_W, start, r, X, mesh, rule, w):
-    """The `off` beyond `start` at which X (or W) is `target`; NaN if it is not on the panels."""
-    towards = -1.0 if side == 0 else 1.0
-    step = mesh.half[mesh.first[k + 1] - 1] if side == 0 else mesh.half[mesh.first[k + 1]]
+    """The `off` beyond `start` at which X (or W, if of_W = 1.0 and not 0.0) is `target`; NaN if not on the panels."""
+    step = mesh.half[mesh.first[k + 1] - 1 if side < 0.0 else mesh.first[k + 1]]
     low, high = start, start + 0.1 * step
     while True:
         s, at, W, _ = beside(side, k, high, r, X, mesh, rule, w)
         if not abs(s) <= BEYOND:
             return math.nan
-        if ((W if of_W else at) - target) * towards >= 0.0:
+        if (at + of_W * (W - at) - target) * side >= 0.0:
             break
         low = high
         high += 0.25 * step
@@ -208,7 +208,7 @@ def label_of(side, k, target, of_W, start, r, X, mesh, rule, w):
     for _ in range(60):
         middle = 0.5 * (low + high)
         _, at, W, _ = beside(side, k, middle, r, X, mesh, rule, w)
-        if ((W if of_W else at) - target) * towards >= 0.0:
+        if (at + of_W * (W - at) - target) * side >= 0.0:
             high = middle
         else:
             low = middle
@@ -218,24 +218,24 @@ def label_of(side, k, target, of_W, start, r, X, mesh, rule, w):
 @compiled
 def bracket_labels(k, off, r, X, mesh, rule, law, w):
     """Labels of shock k where Newton's method finds none: between the folds of X, W⁻ - W⁺ falls with x."""
-    right = fold(1, k, r, X, mesh, rule, w)
+    right = fold(1.0, k, r, X, mesh, rule, w)
     if mesh.first[k] == mesh.first[k + 1]:
-        off[k, 1] = label_of(1, k, 0.0, True, right, r, X, mesh, rule, w)
+        off[k, 1] = label_of(1.0, k, 0.0, 1.0, right, r, X, mesh, rule, w)
         return off[k, 1] == off[k, 1] and newton_labels(k, off, r, X, mesh, rule, law, w)
-    left = fold(0, k, r, X, mesh, rule, w)
+    left = fold(-1.0, k, r, X, mesh, rule, w)
     if not (left >= 0.0 and right >= 0.0):
         return False
-    low, high = beside(1, k, right, r, X, mesh, rule, w)[1], beside(0, k, left, r, X, mesh, rule, w)[1]
+    low, high = beside(1.0, k, right, r, X, mesh, rule, w)[1], beside(-1.0, k, left, r, X, mesh, rule, w)[1]
     if not low < high:
         return False
     b0 = b1 = 0.0
     for _ in range(60):
         x = 0.5 * (low + high)
-        b0 = label_of(0, k, x, False, left, r, X, mesh, rule, w)
-        b1 = label_of(1, k, x, False, right, r, X, mesh, rule, w)
+        b0 = label_of(-1.0, k, x, 0.0, left, r, X, mesh, rule, w)
+        b1 = label_of(1.0, k, x, 0.0, right, r, X, mesh, rule, w)
         if b0 != b0:
             low = x
-        elif b1 != b1 or beside(0, k, b0, r, X, mesh, rule, w)[2] < beside(1, k, b1, r, X, mesh, rule, w)[2]:
+        elif b1 != b1 or beside(-1.0, k, b0, r, X, mesh, rule, w)[2] < beside(1.0, k, b1, r, X, mesh, rule, w)[2]:
             high = x
         else:
             low = x
@@ -251,9 +251,9 @@ def bracket_labels(k, off, r, X, mesh, rule, law, w):
 def shock_labels(k, off, r, X, mesh, rule, law, w):
     """Fills the labels of shock k, by Newton's method or between folds; returns whether found, X rising at both."""
     if newton_labels(k, off, r, X, mesh, rule, law, w):
-        rising = beside(1, k, off[k, 1], r, X, mesh, rule, w)[3] > 0.0
+        rising = beside(1.0, k, off[k, 1], r, X, mesh, rule, w)[3] > 0.0
         if mesh.first[k] < mesh.first[k + 1]:
-            rising = rising and beside(0, k, off[k, 0], r, X, mesh, rule, w)[3] > 0.0
+            rising = rising and beside(-1.0, k, off[k, 0], r, X, mesh, rule, w)[3] > 0.0
         if rising or max(off[k, 0], off[k, 1]) == 0.0:
             return True
     return bracket_labels(k, off, r, X, mesh, rule, law, w)
@@ -347,21 +347,15 @@ def step(y, clock, h, origin, rule_A, B, E3, E5, mesh, rule, law, off, off_top, 
             nodes[i] += rule_A[i, j]
     nodes[12] = 1.0
     for i in range(13):
-        stage[:] = 0.0
-        if i < 12:
-            for j in range(i):
-                a = h * rule_A[i, j]
-                if a != 0.0:
-                    for l in range(m):
-                        stage[l] += a * k[j, l]
-        else:
-            for j in range(12):
-                a = h * B[j]
-                if a != 0.0:
-                    for l in range(m):
-                        stage[l] += a * k[j, l]
         for l in range(m):
-            stage[l] += y[l]
+            stage[l] = 0.0
+        for j in range(min(i, 12)):
+            a = rule_A[i, j] if i < 12 else B[j]
+            if a != 0.0:
+                for l in range(m):
+                    stage[l] += a * k[j, l]
+        for l in range(m):
+            stage[l] = y[l] + h * stage[l]
         z = clock + nodes[i] * h
         t = origin + z * z if in_root else z
         found = rates(stage, t, mesh, rule, law, off, off_top, birth, power, tau, S, c, k[i])
@@ -370,9 +364,9 @@ def step(y, clock, h, origin, rule_A, B, E3, E5, mesh, rule, law, off, off_top, 
         if in_root:
             for l in range(m):
                 k[i, l] *= 2.0 * z
-    new[:] = stage
     fifth = third = 0.0
     for l in range(m):
+        new[l] = stage[l]
         e5 = e3 = 0.0
         for i in range(13):
             e5 += E5[i] * k[i, l]
