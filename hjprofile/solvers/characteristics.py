@@ -24,7 +24,8 @@ from hjprofile.problem.grid import Grid
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels import characteristics as kernels
 from hjprofile.solvers.kernels.law import LawTable, law_q_f
-from hjprofile.solvers.panels import POINTS, RULE, SLIVER, TAIL, Panels, cut_into_panels, interpolation, tails
+from hjprofile.solvers.label_events import Sign, exited, folds, merged, parted, passed, place, signs, with_joint_at
+from hjprofile.solvers.panels import POINTS, RULE, TAIL, Panels, cut_into_panels, interpolation, tails
 from hjprofile.solvers.run import Array, Event, KinkRecord, Run
 
 TOLERANCE = 1e-12
@@ -32,8 +33,6 @@ FINEST, COARSEST = 1e-13, 1e-4  # tolerances between which the estimate was test
 COARSER = 100.0  # ratio of the tolerances of the two runs from which the error is estimated
 BUDGET = 30.0  # allowance of a budget in tolerances
 ROUNDING = 1e-14
-FINE = np.cos(np.pi * np.arange(4 * POINTS, -1, -1) / (4 * POINTS))  # where the fold of X is looked for
-SLOPE_AT = interpolation(FINE) @ RULE.D
 CORNER = 1e-3  # part of a panel within which a birth beside a corner is one at the corner
 FLOOR = 1e-13  # least step, as a part of the end
 MOST_PANELS = 4000
@@ -126,7 +125,7 @@ class _Solver:
             break
         self.steps += 1
         before = h
-        crossed = [e for e, value in self._signs(panels).items() if value < 0.0]
+        crossed = [e for e, value in signs(panels, self.threshold).items() if value < 0.0]
         reached = h == left
         if crossed:
             h, panels, event = self._first_event(crossed, h, panels)
@@ -186,7 +185,7 @@ class _Solver:
             return []
         panels, records = self.now.panels, []
         for k in range(panels.shocks):
-            x = self._place(panels, k)
+            x = place(panels, k)
             sides = [self.r0]
             if panels.mesh.first[k] < panels.mesh.first[k + 1]:
                 p, s = kernels.before_end(panels.off[k, 0], k, panels.mesh)
@@ -201,169 +200,30 @@ class _Solver:
                 records.append(KinkRecord(self.now.t, panels.number[k], x, q0, q1, q1 - q0, speed, speed))
         return records
 
-    # events: a name, an index, and a value that turns negative
-
-    def _signs(self, panels: Panels, only: list[tuple[str, int]] | None = None) -> dict[tuple[str, int], float]:
-        mesh, M = panels.mesh, panels.shocks
-        first, width = mesh.first, 2.0 * mesh.half
-        signs: dict[tuple[str, int], float] = {}
-        if only is None:
-            folds = self._folds(panels)[0]
-            signs |= {("birth", int(p)): float(folds[p]) for p in np.flatnonzero(folds < -self.threshold)}
-        elif births := [e for e in only if e[0] == "birth"]:
-            folds = self._folds(panels)[0]
-            signs |= {e: float(folds[e[1]]) for e in births}
-            if len(births) == len(only):
-                return signs
-        for k in range(M):
-            if k > 0:
-                signs["merge", k] = width[first[k] : first[k + 1]].sum() - panels.off[k - 1, 1] - panels.off[k, 0]
-            if first[k] < first[k + 1]:
-                signs["left", k] = self._to_joint(mesh, first[k + 1] - 1, first[k], -1) - panels.off[k, 0]
-            signs["right", k] = self._to_joint(mesh, first[k + 1], first[k + 2] - 1, 1) - panels.off[k, 1]
-        if M:
-            p, s = kernels.after_start(panels.off[-1, 1], M, mesh)
-            signs["exit", M - 1] = -float((interpolation(np.array([s])) @ panels.X[p])[0])
-        signs["top", 0] = self._to_joint(mesh, len(panels.r) - 1, first[M], -1) - panels.off_top[0]
-        return signs
-
-    @staticmethod
-    def _to_joint(mesh: kernels.Mesh, p: int, last: int, towards: int) -> float:
-        """Width of the panels from p on up to the first joint across which fields are not analytic."""
-        total = 2.0 * mesh.half[p]
-        while p != last and mesh.joined[p if towards < 0 else p + 1]:
-            p += towards
-            total += 2.0 * mesh.half[p]
-        return float(total)
-
-    def _folds(self, panels: Panels) -> tuple[Array, Array]:
-        """The least slope of X in the label on the living part of each panel, and where it is."""
-        low, high = panels.living()
-        slopes = panels.X @ SLOPE_AT.T / panels.mesh.half[:, None]
-        slopes[(FINE[None, :] < low[:, None]) | (FINE[None, :] > high[:, None])] = np.inf
-        slopes[high <= low] = np.inf
-        at = slopes.argmin(axis=1)
-        value, where = slopes[np.arange(len(at)), at], FINE[at]
-        for p in np.flatnonzero(value < 0.02):  # the minimum between the points, by Newton's method
-            second, third = (np.linalg.matrix_power(RULE.D, n) @ panels.X[p] for n in (2, 3))
-            least = max(FINE[max(at[p] - 1, 0)], low[p])
-            most = min(FINE[min(at[p] + 1, FINE.size - 1)], high[p])
-            s = where[p]
-            for _ in range(4):
-                row = interpolation(np.array([s]))[0]
-                bend = float(row @ third)
-                s = min(max(s - float(row @ second) / bend, least), most) if bend > 0.0 else s
-            slope = float(interpolation(np.array([s]))[0] @ RULE.D @ panels.X[p] / panels.mesh.half[p])
-            if slope < value[p]:
-                where[p], value[p] = s, slope
-        return value, where
-
-    def _first_event(self, crossed: list, h: float, panels: Panels) -> tuple[float, Panels, tuple[str, int]]:
-        """The step up to the first of these events, the panels there, and the event."""
-        start = self._signs(self.now.panels, only=crossed)
-        # an event that noise has begun before the step is shifted by that much
-        shift = {e: min(start[e], 0.0) - (1e-300 if start[e] <= 0.0 else 0.0) for e in crossed}
-        end = self._signs(panels, only=crossed)
-        if any(start[e] <= 0.0 and e[0] != "birth" for e in crossed):
-            event = next(e for e in crossed if start[e] <= 0.0 and e[0] != "birth")
-            return 0.0, self.now.panels, event
-
-        def least(part: float) -> float:
-            tried, error = self._try(part * h)
-            if not np.isfinite(error):
-                raise Lost(self._why())
-            signs = self._signs(tried, only=crossed)
-            return min(signs[e] - shift[e] for e in crossed)
-
-        if min(end[e] - shift[e] for e in crossed) < 0.0:
-            part = brentq(
-                lambda a: least(a) if a else min(start[e] - shift[e] for e in crossed), 0.0, 1.0, xtol=1e-15, rtol=1e-14
-            )
-        else:
-            part = 1.0
-        panels, _ = self._try(part * h)
-        signs = self._signs(panels, only=crossed)
-        return part * h, panels, min(crossed, key=lambda e: abs(signs[e] - shift[e]))
-
-    def _apply(self, event: tuple[str, int]) -> None:
+    def _apply(self, event: Sign) -> None:
+        """The panels after an event."""
         kind, i = event
         panels, t = self.now.panels, self.now.t
         if kind == "birth":
             self._birth(i)
-        elif kind == "merge":
+            return
+        if kind == "merge":
             a, b = panels.number[i - 1], panels.number[i]
-            self.events.append(Event(t, "merge", max(a, b), min(a, b), self._place(panels, i)))
-            number = panels.number.copy()
-            number[i - 1 : i + 1] = [min(a, b)]
-            off = np.delete(panels.off, i, axis=0)
-            off[i - 1] = panels.off[i - 1, 0], panels.off[i, 1]
-            keep = np.r_[0 : panels.mesh.first[i], panels.mesh.first[i + 1] : len(panels.r)]
-            first = np.delete(panels.mesh.first, i)
-            first[i:] -= panels.mesh.first[i + 1] - panels.mesh.first[i]
-            panels = replace(
-                panels.kept(keep, first), off=off, birth=np.delete(panels.birth, i),
-                power=np.delete(panels.power, i, axis=0), tau=np.delete(panels.tau, i), number=number,
-            )  # fmt: skip
-            panels.power[i - 1] = 0.0
-            self.now = replace(self.now, panels=panels)
+            self.events.append(Event(t, "merge", max(a, b), min(a, b), place(panels, i)))
+            panels = merged(panels, i)
         elif kind == "exit":
             self.events.append(Event(t, "exit", panels.number[i], None, 0.0))
-            keep = np.arange(panels.mesh.first[i + 1])
-            panels = replace(
-                panels.kept(keep, panels.mesh.first[:-1].copy()), off=panels.off[:-1], birth=panels.birth[:-1],
-                power=panels.power[:-1], tau=panels.tau[:-1], number=panels.number[:-1],
-                off_top=panels.off[-1:, 0].copy(),
-            )  # fmt: skip
-            self.now = replace(self.now, panels=panels)
-        elif kind == "left" and panels.mesh.first[i] == kernels.before_end(panels.off[i, 0], i, panels.mesh)[0]:
-            if i > 0:
-                raise Lost(f"the labels between two kinks run out left of kink {panels.number[i]}")
-            first = panels.mesh.first - panels.mesh.first[1]  # nothing but q = 0 is left of the first kink
-            first[0] = 0
-            off = panels.off.copy()
-            off[0, 0] = 0.0
-            power = panels.power.copy()
-            power[0] = 0.0
-            panels = replace(panels.kept(np.arange(panels.mesh.first[1], len(panels.r)), first), off=off, power=power)
-            self.now = replace(self.now, panels=panels)
-        elif kind == "top" and panels.mesh.first[panels.shocks] == kernels.before_end(
-            panels.off_top[0], panels.shocks, panels.mesh
-        )[0]:  # fmt: skip
-            empty = np.zeros(2, dtype=panels.mesh.first.dtype)
-            self.now = replace(self.now, panels=panels.kept(np.arange(0), empty))
-        else:  # across a joint: the panel passed is dropped
-            self.now = replace(self.now, panels=self._passed(panels, kind, i))
-
-    @staticmethod
-    def _passed(panels: Panels, kind: str, i: int) -> Panels:
-        """Without the panels between a segment's end and the joint that a label has reached."""
-        mesh, off, off_top, power = panels.mesh, panels.off.copy(), panels.off_top.copy(), panels.power.copy()
-        keep = np.ones(len(panels.r), dtype=bool)
-        if kind == "right":
-            p = kernels.after_start(off[i, 1], i + 1, mesh)[0]
-            keep[mesh.first[i + 1] : p + 1] = False
-            off[i, 1] = 0.0
+            panels = exited(panels)
         else:
-            k, reach = (i, off[i, 0]) if kind == "left" else (panels.shocks, off_top[0])
-            p = kernels.before_end(reach, k, mesh)[0]
-            keep[p : mesh.first[k + 1]] = False
-            if kind == "left":
-                off[i, 0] = 0.0
-            else:
-                off_top[0] = 0.0
-        if kind != "top":
-            power[i] = 0.0
-        first = np.concatenate([[0], np.cumsum(keep)])[mesh.first]
-        return replace(panels.kept(np.flatnonzero(keep), first), off=off, power=power, off_top=off_top)
-
-    def _place(self, panels: Panels, k: int) -> float:
-        p, s = kernels.after_start(panels.off[k, 1], k + 1, panels.mesh)
-        return float((interpolation(np.array([s])) @ panels.X[p])[0])
+            panels = passed(panels, kind, i)
+            if np.any(np.diff(panels.mesh.first)[1:] == 0):  # only the first segment may be empty: q = 0
+                raise Lost("the labels between two kinks run out")
+        self.now = replace(self.now, panels=panels)
 
     def _birth(self, p: int) -> None:
         """A shock where X first folds: a joint of segments there, and how its labels will part."""
         panels, t = self.now.panels, self.now.t
-        values, places = self._folds(panels)
+        values, places = folds(panels)
         mesh = panels.mesh
         k = panels.segment(p)
         if p + 1 < mesh.first[k + 1] and mesh.joined[p + 1] and values[p + 1] < values[p]:
@@ -377,7 +237,7 @@ class _Solver:
         if at_left or at_right:
             cut = p + at_right  # the panel that will begin the new segment
         else:
-            panels, cut = self._joint_at(panels, p, s)
+            panels, cut = with_joint_at(panels, p, s)
         x = float(panels.X[cut - 1, -1] if cut > 0 else panels.X[cut, 0])
         self.now = replace(self.now, panels=panels)
         self._room()
@@ -400,49 +260,36 @@ class _Solver:
             raise Lost(f"a kink would be born at x = {x:.6g} in no ordinary way")
         self.count += 1
         tau = 1e-14 * self.end  # labels so near are at the joint itself
-        k = int(np.searchsorted(panels.mesh.first[1:-1], cut, side="right"))
-        if cut == 0:
-            k = 0
-        mesh = panels.mesh._replace(first=np.insert(panels.mesh.first, k + 1, cut))
-        self.now = _Stretch(
-            replace(
-                panels, mesh=mesh, number=[*panels.number[:k], self.count, *panels.number[k:]],
-                off=np.insert(panels.off, k, [v * tau**e for v, e in sides], axis=0),
-                power=np.insert(panels.power, k, [e for _, e in sides], axis=0),
-                birth=np.insert(panels.birth, k, t), tau=np.insert(panels.tau, k, tau),
-            ),
-            t, t,
-        )  # fmt: skip
+        self.now = _Stretch(parted(panels, cut, t, tau, sides, self.count), t, t)
         self.h = min(self.h, float(np.sqrt(0.01 * self.end)))
         self.events.append(Event(t, "birth", self.count, None, x))
 
-    @staticmethod
-    def _joint_at(panels: Panels, p: int, s: float) -> tuple[Panels, int]:
-        """Panels with a joint at s in panel p, and the panel that begins there; slivers go to a neighbour."""
-        mesh = panels.mesh
-        k = panels.segment(p)
-        if s > 1.0 - SLIVER and p + 1 < mesh.first[k + 1] and mesh.joined[p + 1]:
-            return _shift_joint(panels, p, s), p + 1
-        if s < -1.0 + SLIVER and p > mesh.first[k] and mesh.joined[p]:
-            q = 1.0 + (s + 1.0) * mesh.half[p] / mesh.half[p - 1]
-            return _shift_joint(panels, p - 1, q), p
-        return panels.split({p: s}), p + 1
+    def _first_event(self, crossed: list, h: float, panels: Panels) -> tuple[float, Panels, Sign]:
+        """The step up to the first of these events, the panels there, and the event."""
+        start = signs(self.now.panels, self.threshold, crossed)
+        # an event that noise has begun before the step is shifted by that much
+        shift = {e: min(start[e], 0.0) - (1e-300 if start[e] <= 0.0 else 0.0) for e in crossed}
+        end = signs(panels, self.threshold, crossed)
+        if any(start[e] <= 0.0 and e[0] != "birth" for e in crossed):
+            event = next(e for e in crossed if start[e] <= 0.0 and e[0] != "birth")
+            return 0.0, self.now.panels, event
 
+        def least(part: float) -> float:
+            tried, error = self._try(part * h)
+            if not np.isfinite(error):
+                raise Lost(self._why())
+            now = signs(tried, self.threshold, crossed)
+            return min(now[e] - shift[e] for e in crossed)
 
-def _shift_joint(panels: Panels, p: int, s: float) -> Panels:
-    """The joint between panels p and p + 1 moved to the place s of panel p, which may be beyond its end."""
-    mesh = panels.mesh
-    a, b = mesh.half[p], mesh.half[p + 1]
-    half = mesh.half.copy()
-    half[p], half[p + 1] = 0.5 * (1.0 + s) * a, b + 0.5 * (1.0 - s) * a
-    r, X, I, slope = panels.r.copy(), panels.X.copy(), mesh.I.copy(), mesh.dI / mesh.half[:, None]
-    pairs = [(f, f[p].copy(), f[p + 1].copy()) for f in (r, X, I, slope)]
-    for q, start in ((p, -a), (p + 1, s * a)):
-        at = start + half[q] * (1.0 + RULE.s)  # the label, from the middle of p
-        here, there = interpolation(at / a), interpolation((at - a - b) / b)
-        for field, before, after in pairs:
-            field[q] = np.where(at <= a, here @ before, there @ after)
-    return replace(panels, r=r, X=X, mesh=mesh._replace(I=I, dI=slope * half[:, None], half=half))
+        if min(end[e] - shift[e] for e in crossed) < 0.0:
+            part = brentq(
+                lambda a: least(a) if a else min(start[e] - shift[e] for e in crossed), 0.0, 1.0, xtol=1e-15, rtol=1e-14
+            )
+        else:
+            part = 1.0
+        panels, _ = self._try(part * h)
+        found = signs(panels, self.threshold, crossed)
+        return part * h, panels, min(crossed, key=lambda e: abs(found[e] - shift[e]))
 
 
 def solve_characteristics(

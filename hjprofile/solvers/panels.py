@@ -20,7 +20,6 @@ from hjprofile.solvers.run import Array
 POINTS = 16
 FAN = 0.5  # most that a panel of a fan spans in ln R
 NARROWEST = 1e-7  # panels of the data; a profile that needs narrower ones is not smooth between its corners
-SLIVER = 0.1  # part of a panel that a cut leaves to the neighbour, if fields are analytic across the joint
 TAIL = 1e-15 * POINTS**2  # rounding of the highest Chebyshev coefficients
 TAIL_OF_DATA = 2e-14  # R near q = 0 is a polynomial, with rounding of 1e-15
 

@@ -162,7 +162,7 @@ def newton_labels(k, off, r, X, mesh, rule, law, w):
 
 @compiled
 def beside(side, k, off, r, X, mesh, rule, w):
-    """Local place, X, W and X_ξ of the label `off` from the joint of shock k, on its left (side = -1.0) or right (1.0)."""
+    """Local place, X, W and X_ξ of the label `off` left (side = -1.0) or right (1.0) of the joint of shock k."""
     p, s = before_end(off, k, mesh) if side < 0.0 else after_start(off, k + 1, mesh)
     rate, at, W, slope = at_label(p, s, r, X, mesh, rule, w)
     return s, at, W, slope / mesh.half[p]

@@ -1,0 +1,179 @@
+"""Events of characteristics: what announces them, and the panels after them (theory, §5).
+
+An event is a name and an index with a value that turns negative: ("birth", panel), ("merge", segment between two
+shocks), ("exit", shock), ("left" or "right", shock) where a label comes to a joint across which fields are not
+analytic, and ("top", 0) where the label at x = 0 does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hjprofile.solvers.kernels import characteristics as kernels
+from hjprofile.solvers.panels import POINTS, RULE, Panels, interpolation
+from hjprofile.solvers.run import Array
+
+Sign = tuple[str, int]
+
+FINE = np.cos(np.pi * np.arange(4 * POINTS, -1, -1) / (4 * POINTS))  # where the fold of X is looked for
+SLOPE_AT = interpolation(FINE) @ RULE.D
+SLIVER = 0.1  # part of a panel that a cut leaves to the neighbour, if fields are analytic across the joint
+
+
+def signs(panels: Panels, threshold: float, only: Sequence[Sign] | None = None) -> dict[Sign, float]:
+    """What turns negative at an event: of all events, births only where X falls by `threshold`, or of `only` these."""
+    mesh, M = panels.mesh, panels.shocks
+    first, width = mesh.first, 2.0 * mesh.half
+    found: dict[Sign, float] = {}
+    if only is None:
+        slopes = folds(panels)[0]
+        found |= {("birth", int(p)): float(slopes[p]) for p in np.flatnonzero(slopes < -threshold)}
+    elif births := [e for e in only if e[0] == "birth"]:
+        slopes = folds(panels)[0]
+        found |= {e: float(slopes[e[1]]) for e in births}
+        if len(births) == len(only):
+            return found
+    for k in range(M):
+        if k > 0:
+            found["merge", k] = width[first[k] : first[k + 1]].sum() - panels.off[k - 1, 1] - panels.off[k, 0]
+        if first[k] < first[k + 1]:
+            found["left", k] = to_joint(mesh, first[k + 1] - 1, first[k], -1) - panels.off[k, 0]
+        found["right", k] = to_joint(mesh, first[k + 1], first[k + 2] - 1, 1) - panels.off[k, 1]
+    if M:
+        p, s = kernels.after_start(panels.off[-1, 1], M, mesh)
+        found["exit", M - 1] = -float((interpolation(np.array([s])) @ panels.X[p])[0])
+    found["top", 0] = to_joint(mesh, len(panels.r) - 1, first[M], -1) - panels.off_top[0]
+    return found
+
+
+def to_joint(mesh: kernels.Mesh, p: int, last: int, towards: int) -> float:
+    """Width of the panels from p on up to the first joint across which fields are not analytic."""
+    total = 2.0 * mesh.half[p]
+    while p != last and mesh.joined[p if towards < 0 else p + 1]:
+        p += towards
+        total += 2.0 * mesh.half[p]
+    return float(total)
+
+
+def folds(panels: Panels) -> tuple[Array, Array]:
+    """The least slope of X in the label on the living part of each panel, and where it is."""
+    low, high = panels.living()
+    slopes = panels.X @ SLOPE_AT.T / panels.mesh.half[:, None]
+    slopes[(FINE[None, :] < low[:, None]) | (FINE[None, :] > high[:, None])] = np.inf
+    slopes[high <= low] = np.inf
+    at = slopes.argmin(axis=1)
+    value, where = slopes[np.arange(len(at)), at], FINE[at]
+    for p in np.flatnonzero(value < 0.02):  # the minimum between the points, by Newton's method
+        second, third = (np.linalg.matrix_power(RULE.D, n) @ panels.X[p] for n in (2, 3))
+        least = max(FINE[max(at[p] - 1, 0)], low[p])
+        most = min(FINE[min(at[p] + 1, FINE.size - 1)], high[p])
+        s = where[p]
+        for _ in range(4):
+            row = interpolation(np.array([s]))[0]
+            bend = float(row @ third)
+            s = min(max(s - float(row @ second) / bend, least), most) if bend > 0.0 else s
+        slope = float(interpolation(np.array([s]))[0] @ RULE.D @ panels.X[p] / panels.mesh.half[p])
+        if slope < value[p]:
+            where[p], value[p] = s, slope
+    return value, where
+
+
+def place(panels: Panels, k: int) -> float:
+    """Where shock k is."""
+    p, s = kernels.after_start(panels.off[k, 1], k + 1, panels.mesh)
+    return float((interpolation(np.array([s])) @ panels.X[p])[0])
+
+
+def merged(panels: Panels, k: int) -> Panels:
+    """Without segment k: the shocks on its sides are one."""
+    first = np.delete(panels.mesh.first, k)
+    first[k:] -= panels.mesh.first[k + 1] - panels.mesh.first[k]
+    keep = np.r_[0 : panels.mesh.first[k], panels.mesh.first[k + 1] : len(panels.r)]
+    off, power, number = np.delete(panels.off, k, axis=0), np.delete(panels.power, k, axis=0), panels.number.copy()
+    off[k - 1] = panels.off[k - 1, 0], panels.off[k, 1]
+    power[k - 1] = 0.0
+    number[k - 1 : k + 1] = [min(number[k - 1], number[k])]
+    return replace(
+        panels.kept(keep, first), off=off, power=power, number=number, birth=np.delete(panels.birth, k),
+        tau=np.delete(panels.tau, k),
+    )  # fmt: skip
+
+
+def exited(panels: Panels) -> Panels:
+    """Without the last shock and what was right of it."""
+    first = panels.mesh.first[:-1].copy()
+    return replace(
+        panels.kept(np.arange(first[-1]), first), off=panels.off[:-1], power=panels.power[:-1],
+        number=panels.number[:-1], birth=panels.birth[:-1], tau=panels.tau[:-1], off_top=panels.off[-1:, 0].copy(),
+    )  # fmt: skip
+
+
+def passed(panels: Panels, kind: str, i: int) -> Panels:
+    """Without the panels up to the joint that the label of shock i, or the one at x = 0, has reached.
+
+    The first segment, or all, may be empty after it: left of the last label q = 0.
+    """
+    mesh, off, off_top, power = panels.mesh, panels.off.copy(), panels.off_top.copy(), panels.power.copy()
+    keep = np.ones(len(panels.r), dtype=bool)
+    if kind == "right":
+        p = kernels.after_start(off[i, 1], i + 1, mesh)[0]
+        keep[mesh.first[i + 1] : p + 1] = False
+        off[i, 1] = 0.0
+    else:
+        k, reach = (i, off[i, 0]) if kind == "left" else (panels.shocks, off_top[0])
+        p = kernels.before_end(reach, k, mesh)[0]
+        keep[p : mesh.first[k + 1]] = False
+        if kind == "left":
+            off[i, 0] = 0.0
+        else:
+            off_top[0] = 0.0
+    if kind != "top":
+        power[i] = 0.0
+    first = np.concatenate([[0], np.cumsum(keep)])[mesh.first]
+    return replace(panels.kept(np.flatnonzero(keep), first), off=off, power=power, off_top=off_top)
+
+
+def with_joint_at(panels: Panels, p: int, s: float) -> tuple[Panels, int]:
+    """Panels with a joint at s in panel p, and the panel that begins there; slivers go to a neighbour."""
+    mesh = panels.mesh
+    k = panels.segment(p)
+    if s > 1.0 - SLIVER and p + 1 < mesh.first[k + 1] and mesh.joined[p + 1]:
+        return _shift_joint(panels, p, s), p + 1
+    if s < -1.0 + SLIVER and p > mesh.first[k] and mesh.joined[p]:
+        q = 1.0 + (s + 1.0) * mesh.half[p] / mesh.half[p - 1]
+        return _shift_joint(panels, p - 1, q), p
+    return panels.split({p: s}), p + 1
+
+
+def _shift_joint(panels: Panels, p: int, s: float) -> Panels:
+    """The joint between panels p and p + 1 moved to the place s of panel p, which may be beyond its end."""
+    mesh = panels.mesh
+    a, b = mesh.half[p], mesh.half[p + 1]
+    half = mesh.half.copy()
+    half[p], half[p + 1] = 0.5 * (1.0 + s) * a, b + 0.5 * (1.0 - s) * a
+    r, X, I, slope = panels.r.copy(), panels.X.copy(), mesh.I.copy(), mesh.dI / mesh.half[:, None]
+    pairs = [(f, f[p].copy(), f[p + 1].copy()) for f in (r, X, I, slope)]
+    for q, start in ((p, -a), (p + 1, s * a)):
+        at = start + half[q] * (1.0 + RULE.s)  # the label, from the middle of p
+        here, there = interpolation(at / a), interpolation((at - a - b) / b)
+        for field, before, after in pairs:
+            field[q] = np.where(at <= a, here @ before, there @ after)
+    return replace(panels, r=r, X=X, mesh=mesh._replace(I=I, dI=slope * half[:, None], half=half))
+
+
+def parted(panels: Panels, cut: int, t: float, tau: float, sides: Sequence[Sequence[float]], number: int) -> Panels:
+    """With a shock born at time t at the start of panel `cut`, whose labels part like coefficient * (t' - t)^power.
+
+    `sides` are these two numbers for its left and its right, `tau` the age for which labels are set.
+    """
+    k = int(np.searchsorted(panels.mesh.first[1:-1], cut, side="right")) if cut else 0
+    return replace(
+        panels, mesh=panels.mesh._replace(first=np.insert(panels.mesh.first, k + 1, cut)),
+        number=[*panels.number[:k], number, *panels.number[k:]],
+        off=np.insert(panels.off, k, [v * tau**e for v, e in sides], axis=0),
+        power=np.insert(panels.power, k, [e for _, e in sides], axis=0),
+        birth=np.insert(panels.birth, k, t), tau=np.insert(panels.tau, k, tau),
+    )  # fmt: skip
