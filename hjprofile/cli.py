@@ -37,7 +37,7 @@ def _whole(_: Any, tokens: Any) -> int:
 Cells = Annotated[int | None, Parameter(converter=_whole, help="Number of grid cells, instead of the case's.")]
 Method = Annotated[str | None, Parameter(help="Solver method, instead of the case's; a wrong name lists them all.")]
 Cfl = Annotated[float | None, Parameter(help="Time step as a part of the largest monotone one.")]
-Tolerance = Annotated[float | None, Parameter(help="Largest error of u, for the methods characteristics and auto.")]
+Tolerance = Annotated[float | None, Parameter(help="Largest error of u; takes the method auto if none is named.")]
 End = Annotated[float | None, Parameter(help="Mass of grains poured in at which the run ends.")]
 Out = Annotated[Path | None, Parameter(help="Folder for the results; results/<case name> by default.")]
 Into = Annotated[Path | None, Parameter(help="Folder for the files; the result's own by default.")]
@@ -63,6 +63,8 @@ def run(
     from hjprofile.problem.case import load_case
     from hjprofile.solvers.methods import check_method, solve_case
 
+    if tolerance is not None and method is None:
+        method = "auto"
     solver = {"solver.method": method, "solver.cfl": cfl, "solver.tolerance": tolerance}
     asked = solver | {"domain.cells": cells, "time.end": end}
     loaded = load_case(case, {key: value for key, value in asked.items() if value is not None})

@@ -15,7 +15,7 @@ from hjprofile.problem import Problem
 from hjprofile.problem.case import DEFAULT_CFL, DEFAULT_METHOD, Case, resolved_case
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers import conservation, hj
-from hjprofile.solvers.characteristics import FINEST, TOLERANCE, solve_characteristics
+from hjprofile.solvers.characteristics import COARSEST, FINEST, TOLERANCE, solve_characteristics
 from hjprofile.solvers.fronts import track_fronts
 from hjprofile.solvers.march import Scheme, march
 from hjprofile.solvers.run import Run
@@ -70,7 +70,7 @@ def solve(problem: Problem, tolerance: float, grid: Grid | None = None, progress
     """
     problem.check(grid := grid or problem.profile.grid())
     try:
-        run = solve_characteristics(problem, grid, max(0.1 * tolerance, FINEST), progress)
+        run = solve_characteristics(problem, grid, min(max(0.1 * tolerance, FINEST), COARSEST), progress)
         if run.done:
             return run
         why = run.status
