@@ -36,6 +36,7 @@ ROUNDING = 1e-14
 CORNER = 1e-3  # part of a panel within which a birth beside a corner is one at the corner
 FLOOR = 1e-13  # least step, as a part of the end
 MOST_PANELS = 4000
+MOST_EVENTS = 200  # at one moment; each takes a kink, a panel or a label away
 
 
 class Lost(RunError):
@@ -84,8 +85,13 @@ class _Solver:
 
     def advance(self, target: float) -> None:
         """To the time `target`. Raises Lost where it cannot go on."""
+        idle = 0
         while self.now.t < target and not self.flat:
+            before = self.now.t
             self._step(target)
+            idle = idle + 1 if self.now.t == before else 0
+            if idle > MOST_EVENTS:
+                raise Lost(f"more than {MOST_EVENTS} events fall on one moment")
         if self.flat:
             self.now.t = target
 
@@ -165,7 +171,7 @@ class _Solver:
         if not self.flat:
             panels = self.now.panels
             self._rates(panels)
-            kernels.read(panels.y, panels.mesh, RULE, *panels.living(), self.S, self.c, nodes, self.r0, W, K)
+            kernels.read(panels.y, panels.mesh, RULE, *panels.living(), self.S, self.c, nodes, W, K)
         return W, K
 
     def _rates(self, panels: Panels) -> Array:

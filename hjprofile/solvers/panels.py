@@ -32,18 +32,17 @@ def _rule() -> Rule:
         D = bary[None, :] / bary[:, None] / (s[:, None] - s[None, :])
     np.fill_diagonal(D, 0.0)
     np.fill_diagonal(D, -D.sum(axis=1))
-    to_coefficients = np.linalg.inv(chebyshev.chebvander(s, POINTS - 1))
-    integrals = np.array([chebyshev.chebval(1.0, p) - chebyshev.chebval(s, p) for p in _primitives()])
-    return Rule(s, bary, D, np.ascontiguousarray(integrals.T @ to_coefficients))
+    primitives = chebyshev.chebint(np.eye(POINTS), lbnd=1.0)  # of each Chebyshev polynomial, by column
+    B = -chebyshev.chebval(s, primitives).T @ _to_coefficients(s)
+    return Rule(s, bary, D, np.ascontiguousarray(B))
 
 
-def _primitives() -> list[Array]:
-    return [chebyshev.chebint(np.eye(POINTS)[k]) for k in range(POINTS)]
+def _to_coefficients(s: Array) -> Array:
+    return np.linalg.inv(chebyshev.chebvander(s, POINTS - 1))
 
 
 RULE = _rule()
-TO_COEFFICIENTS = np.linalg.inv(chebyshev.chebvander(RULE.s, POINTS - 1))
-
+TO_COEFFICIENTS = _to_coefficients(RULE.s)
 GAUSS = np.polynomial.legendre.leggauss(POINTS)
 
 

@@ -383,7 +383,7 @@ def step(y, clock, h, origin, rule_A, B, E3, E5, mesh, rule, law, off, off_top, 
 
 
 @compiled
-def read(y, mesh, rule, low, high, S, c, nodes, r0, W_out, K_out):
+def read(y, mesh, rule, low, high, S, c, nodes, W_out, K_out):
     """W and K at increasing `nodes`: label by label where it is alive, low[p] <= s <= high[p], between shocks' places.
 
     S and c as `rates` leaves them.
