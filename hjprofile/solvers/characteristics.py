@@ -128,14 +128,16 @@ class _Solver:
                 if len(now.panels.r) > MOST_PANELS:
                     raise Lost(f"the profile needs more than {MOST_PANELS} panels")
                 continue
+            before, reached = h, h == left
+            crossed = [e for e, value in signs(panels, self.threshold).items() if value < 0.0]
+            if crossed:
+                h, panels, event, error = self._first_event(crossed, h, panels)
+                if error > 1.0:  # the estimate of the longer step was small by chance
+                    self.h, h = 0.0, 0.5 * h
+                    continue
+                reached = False
             break
         self.steps += 1
-        before = h
-        crossed = [e for e, value in signs(panels, self.threshold).items() if value < 0.0]
-        reached = h == left
-        if crossed:
-            h, panels, event = self._first_event(crossed, h, panels)
-            reached = False
         t = target if reached else now.time(now.clock(now.t) + h)
         self.now = _Stretch(panels, t, now.origin)
         if crossed:
@@ -270,15 +272,15 @@ class _Solver:
         self.h = min(self.h, float(np.sqrt(0.01 * self.end)))
         self.events.append(Event(t, "birth", self.count, None, x))
 
-    def _first_event(self, crossed: list, h: float, panels: Panels) -> tuple[float, Panels, Sign]:
-        """The step up to the first of these events, the panels there, and the event."""
+    def _first_event(self, crossed: list, h: float, panels: Panels) -> tuple[float, Panels, Sign, float]:
+        """The step up to the first of these events, the panels there, the event, and the error of the step."""
         start = signs(self.now.panels, self.threshold, crossed)
         # an event that noise has begun before the step is shifted by that much
         shift = {e: min(start[e], 0.0) - (1e-300 if start[e] <= 0.0 else 0.0) for e in crossed}
         end = signs(panels, self.threshold, crossed)
         if any(start[e] <= 0.0 and e[0] != "birth" for e in crossed):
             event = next(e for e in crossed if start[e] <= 0.0 and e[0] != "birth")
-            return 0.0, self.now.panels, event
+            return 0.0, self.now.panels, event, 0.0
 
         def least(part: float) -> float:
             tried, error = self._try(part * h)
@@ -293,9 +295,9 @@ class _Solver:
             )
         else:
             part = 1.0
-        panels, _ = self._try(part * h)
+        panels, error = self._try(part * h)
         found = signs(panels, self.threshold, crossed)
-        return part * h, panels, min(crossed, key=lambda e: abs(found[e] - shift[e]))
+        return part * h, panels, min(crossed, key=lambda e: abs(found[e] - shift[e])), error
 
 
 def solve_characteristics(
