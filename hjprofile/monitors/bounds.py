@@ -71,11 +71,14 @@ class BoundsMonitor:
 class SnapshotBounds:
     """Bounds and budgets of a method that knows its own volume, judged at the saved times.
 
-    `allowed` holds an allowance for each bound, and what it is; allowances grow with time as 1 + t.
+    `allowed` holds an allowance for each bound, and what it is; allowances grow with time as 1 + t. `least` is inf q of
+    the data, if it is below the least mean of a cell.
     """
 
-    def __init__(self, grid: Grid, mass: float, volume: float, allowed: Mapping[str, tuple[float, str]]):
-        self.grid, self.mass, self.first, self.allowed = grid, mass, volume, allowed
+    def __init__(
+        self, grid: Grid, mass: float, volume: float, allowed: Mapping[str, tuple[float, str]], least: float = np.inf
+    ):
+        self.grid, self.mass, self.first, self.allowed, self.least = grid, mass, volume, allowed, least
         self.bounds: dict[str, Verdict] = {}
         self.norm, self.floor, self.cancelled = np.inf, 0.0, 0.0
         self.eroded_volume = self.budget_error = 0.0
@@ -85,9 +88,9 @@ class SnapshotBounds:
         norm, least = float(np.abs(mass).sum()), float(mass.min() / self.grid.dx)
         # in a cell where q changes its sign the parts of its mass cancel
         turns = mass[:-1] * mass[1:] < 0.0
-        self.cancelled = max(self.cancelled, float((np.abs(mass[:-1]) + np.abs(mass[1:]))[turns].sum()))
+        self.cancelled = max(self.cancelled, 2.0 * float((np.abs(mass[:-1]) + np.abs(mass[1:]))[turns].sum()))
         if np.isinf(self.norm):
-            self.norm, self.floor = norm, min(least, 0.0)
+            self.norm, self.floor = norm, min(least, self.least, 0.0)
         self.eroded_volume = self.first - volume
         off = abs(self.eroded_volume - growth)
         self.budget_error = max(self.budget_error, off)

@@ -24,7 +24,18 @@ from hjprofile.problem.grid import Grid
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels import characteristics as kernels
 from hjprofile.solvers.kernels.law import LawTable, law_q_f
-from hjprofile.solvers.label_events import Sign, exited, folds, merged, parted, passed, place, signs, with_joint_at
+from hjprofile.solvers.label_events import (
+    FINE,
+    Sign,
+    exited,
+    folds,
+    merged,
+    parted,
+    passed,
+    place,
+    signs,
+    with_joint_at,
+)
 from hjprofile.solvers.panels import POINTS, RULE, TAIL, Panels, cut_into_panels, interpolation, tails
 from hjprofile.solvers.run import Array, Event, KinkRecord, Run
 
@@ -380,7 +391,9 @@ def _march(solver: _Solver, problem: Problem, grid: Grid, progress: Callable[[fl
     names = ("mass_budget", "volume_budget", "minimum_principle", "l1_decay")
     read = room + 4.0 * ROUNDING / grid.dx
     allowed = {n: (room if n == "volume_budget" else read, "the tolerance") for n in names}
-    watch = SnapshotBounds(grid, mass, volume, allowed)
+    # the least r lies a little below the least found on so many points, by less than that below the least on few
+    few, many = float(start.r.min()), float((start.r @ interpolation(FINE).T).min())
+    watch = SnapshotBounds(grid, mass, volume, allowed, law_q_f(max(2.0 * many - few, 0.5 * many), solver.table)[0])
     kept, rows, kinks, seconds, status = problem.times, [], [], 0.0, "done"
     for target in np.unique(np.append(kept, problem.end)).tolist():
         started = time.perf_counter()
