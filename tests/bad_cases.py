@@ -85,6 +85,7 @@ KEYS = [  # (section, its table, key, what it must be, whether it may be left ou
     ("time", VALID["time"], "end", NUMBER, False),
     ("solver", VALID["solver"], "method", TEXT, True),
     ("solver", VALID["solver"], "cfl", POSITIVE, True),
+    ("solver", {"method": "auto"}, "tolerance", POSITIVE, True),
     ("output", VALID["output"], "vtk", SWITCH, True),
     ("output", VALID["output"], "plots", SWITCH, True),
     ("erosion", {"law": "power", "m": 2.0}, "m", POSITIVE, False),

@@ -122,6 +122,13 @@ def test_bad_python_files(folder, capsys, name):
         (["run", "scene.toml", "--cfl", "0"], ["[solver] cfl = 0.0 must be a positive number"]),
         (["run", "scene.toml", "--cfl", "nan"], ["[solver] cfl = nan must be a positive number"]),
         (["run", "scene.toml", "--cfl=-1"], ["[solver] cfl = -1.0 must be a positive number"]),
+        (["run", "scene.toml", "--tolerance", "0"], ["[solver] tolerance = 0.0 must be a positive number"]),
+        (["run", "scene.toml", "--tolerance", "1e-20"], ["scene.toml: [solver] tolerance = 1e-20 must lie between"]),
+        (["run", "scene.toml", "--method", "auto"], ["scene.toml: [solver] method = 'auto' needs a tolerance"]),
+        (
+            ["run", "scene.toml", "--method", "godunov", "--tolerance", "1e-3"],
+            ["scene.toml: [solver] tolerance applies to the methods characteristics and auto, not to godunov"],
+        ),
         (["run", "scene.toml", "--end", "nan"], ["[time] end = nan must be a finite number"]),
         (["run", "scene.toml", "--end=-2"], ["[time] end = -2.0 must be a number, 0 or more"]),
         (["run", "scene.toml", "--method", "godunow"], ["[solver] method = 'godunow'", "did you mean 'godunov'?"]),

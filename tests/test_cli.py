@@ -104,6 +104,20 @@ def test_options_override_the_case(folder, call):
     assert (load_run("results/bare").method, load_run("results/bare").cells) == ("local-lax-friedrichs", 160)
 
 
+def test_a_tolerance_is_met_and_the_estimate_told(folder, call):
+    code, out, _ = call("run", "bare.toml", "--tolerance", "1e-6")
+    assert code == 0 and "characteristics, 160 cells" in out and "  error       of u at most " in out
+    run = load_run("results/bare")
+    assert run.method == "characteristics" and 0 < run.error_estimate <= 1e-6
+    assert json.loads(Path("results/bare/summary.json").read_text())["error_estimate"] == run.error_estimate
+    fine = solve_case(dataclasses.replace(load_case("bare.toml"), method="fronts"))  # exact for kinks
+    assert np.abs(run.u - fine.u).max() <= run.error_estimate
+    assert call("run", "bare.toml", "--method", "characteristics")[0] == 0
+    assert np.abs(load_run("results/bare").u - fine.u).max() <= 1e-11
+    assert call("run", "bare.toml")[0] == 0
+    assert "error_estimate" not in json.loads(Path("results/bare/summary.json").read_text())
+
+
 def test_nothing_but_data_where_the_case_says_so(folder, call):
     code, out, _ = call("run", "bare.toml")
     assert contents("results/bare").keys() == {"profile.nc", "kinks.csv", "events.csv", "summary.json"}
@@ -143,7 +157,10 @@ def test_help(call, command):
 
 
 def test_help_names_every_option_and_command(call):
-    assert all(option in call("run", "--help")[1] for option in ("--method", "--cells", "--cfl", "--end", "--out"))
+    assert all(
+        option in call("run", "--help")[1]
+        for option in ("--method", "--cells", "--cfl", "--tolerance", "--end", "--out")
+    )
     code, out, _ = call("--help")
     assert code == 0 and re.findall(r"^│ (\w+)", out, re.MULTILINE) == sorted(COMMANDS)
     assert call()[:2] == (0, out)

@@ -361,7 +361,8 @@ def solve_characteristics(
         eroded_volume=fine.watch.eroded_volume,
         outflow=fine.outflow,
         volume_budget_error=fine.watch.budget_error,
-        error_estimate=2.0 * max(apart, fine.watch.budget_error) + 10.0 * ROUNDING * (1.0 + np.abs(fine.W).max()),
+        error_estimate=max(2.0 * apart, 10.0 * fine.watch.budget_error)
+        + 10.0 * ROUNDING * (1.0 + float(np.abs(fine.W).max())),
         units=profile.units,
         account=profile.account,
     )

@@ -97,6 +97,9 @@ def check_method(case: Case) -> None:
         _known(case.method, METHODS)
         if case.tolerance is not None and case.method not in ("characteristics", "auto"):
             raise InputError(f"tolerance applies to the methods characteristics and auto, not to {case.method}")
+        most = COARSEST if case.method == "characteristics" else 1.0
+        if case.tolerance is not None and not FINEST <= case.tolerance <= most:
+            raise InputError(f"tolerance = {case.tolerance:g} must lie between {FINEST:g} and {most:g}")
         if case.tolerance is None and case.method == "auto":
             raise InputError("method = 'auto' needs a tolerance")
     except InputError as error:
