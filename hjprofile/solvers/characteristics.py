@@ -192,7 +192,7 @@ class _Solver:
         out = np.empty(2 * panels.r.size + 2)
         self.found = kernels.rates(
             panels.y, self.now.t, panels.mesh, RULE, self.table, panels.off, panels.off_top, panels.birth,
-            panels.power, panels.tau, self.S, self.c, out,
+            panels.power, panels.tau, self.S, self.c, np.nan, out,
         )  # fmt: skip
         if self.found:
             raise Lost(self._why())

@@ -260,10 +260,11 @@ def shock_labels(k, off, r, X, mesh, rule, law, w):
 
 
 @compiled
-def rates(y, t, mesh, rule, law, off, off_top, birth, power, tau, S, c, out):
+def rates(y, t, mesh, rule, law, off, off_top, birth, power, tau, S, c, unborn, out):
     """dy/dt for y = (r, X, ∫(K_left - 1), ∫F(0)); finds the labels of shocks and of x = 0 on the way.
 
-    Fills S and c of ln K = ln r + S + c. For a young shock `off` scales with (t - birth)^power from its last time tau.
+    Fills S and c of ln K = ln r + S + c. For a young shock `off` scales with (t - birth)^power from its last time tau;
+    nothing else is known of one born at the time `unborn`, whose fold the state does not hold yet.
     Returns 0, or 1 + k where the labels of shock k are lost, or -1 where a state is not admissible.
     """
     P, n = mesh.I.shape
@@ -282,6 +283,8 @@ def rates(y, t, mesh, rule, law, off, off_top, birth, power, tau, S, c, out):
             for side in range(2):
                 off[k, side] *= (age / tau[k]) ** power[k, side]
             tau[k] = age
+            if birth[k] == unborn:
+                continue
         if not shock_labels(k, off, r, X, mesh, rule, law, w):
             return 1 + k
 
@@ -358,7 +361,9 @@ def step(y, clock, h, origin, rule_A, B, E3, E5, mesh, rule, law, off, off_top, 
             stage[l] = y[l] + h * stage[l]
         z = clock + nodes[i] * h
         t = origin + z * z if in_root else z
-        found = rates(stage, t, mesh, rule, law, off, off_top, birth, power, tau, S, c, k[i])
+        # all rates by z vanish at a birth: the second stage has the state of the first, at a later time
+        unborn = origin if i == 1 and clock == 0.0 else math.nan
+        found = rates(stage, t, mesh, rule, law, off, off_top, birth, power, tau, S, c, unborn, k[i])
         if found != 0:
             return math.inf, found
         if in_root:
