@@ -68,11 +68,11 @@ def weights(rule, s, w):
 
 
 @compiled
-def dot(w, values):
-    """w @ values for short rows."""
+def dot(w, values, p):
+    """w @ values[p] for short rows."""
     total = 0.0
     for j in range(w.size):
-        total += w[j] * values[j]
+        total += w[j] * values[p, j]
     return total
 
 
@@ -82,9 +82,12 @@ def at_label(p, s, r, X, mesh, rule, w):
     weights(rule, s, w)
     slope = 0.0
     for i in range(w.size):
-        slope += w[i] * dot(rule.D[i], X[p])
-    rate = dot(w, r[p])
-    return rate, dot(w, X[p]), dot(w, mesh.I[p]) - rate, slope
+        row = 0.0
+        for j in range(w.size):
+            row += rule.D[i, j] * X[p, j]
+        slope += w[i] * row
+    rate = dot(w, r, p)
+    return rate, dot(w, X, p), dot(w, mesh.I, p) - rate, slope
 
 
 @compiled
@@ -295,7 +298,7 @@ def rates(y, t, mesh, rule, law, off, off_top, birth, power, tau, S, c, unborn, 
             for i in range(n):
                 g[i] = mesh.dI[p, i] / r[p, i]
             for i in range(n):
-                S[p, i] = right + dot(rule.B[i], g)
+                S[p, i] = right + dot(g, rule.B, i)
             right = S[p, 0]
 
     at = off_top[0]
@@ -310,16 +313,16 @@ def rates(y, t, mesh, rule, law, off, off_top, birth, power, tau, S, c, unborn, 
     if not abs(top_X) <= NOISE:
         return -1
     off_top[0] = at
-    c[shocks] = -math.log(top_r) - dot(w, S[p])
+    c[shocks] = -math.log(top_r) - dot(w, S, p)
     log_K = 0.0
     for k in range(shocks - 1, -1, -1):
         p, s = after_start(off[k, 1], k + 1, mesh)
         weights(rule, s, w)
-        log_K = math.log(dot(w, r[p])) + dot(w, S[p]) + c[k + 1]
+        log_K = math.log(dot(w, r, p)) + dot(w, S, p) + c[k + 1]
         if mesh.first[k] < mesh.first[k + 1]:
             p, s = before_end(off[k, 0], k, mesh)
             weights(rule, s, w)
-            c[k] = log_K - math.log(dot(w, r[p])) - dot(w, S[p])
+            c[k] = log_K - math.log(dot(w, r, p)) - dot(w, S, p)
 
     for k in range(shocks + 1):
         for p in range(mesh.first[k], mesh.first[k + 1]):
@@ -403,9 +406,9 @@ def read(y, mesh, rule, low, high, S, c, nodes, W_out, K_out):
     p = 0
     for p in range(P):
         weights(rule, low[p], w)
-        left[p] = dot(w, X[p])
+        left[p] = dot(w, X, p)
         weights(rule, high[p], w)
-        right[p] = dot(w, X[p])
+        right[p] = dot(w, X, p)
     p = 0
     s = -1.0
     for i in range(nodes.size):
@@ -431,9 +434,9 @@ def read(y, mesh, rule, low, high, S, c, nodes, W_out, K_out):
                 trial = s + (x - at) / slope if slope > 0.0 else a
                 s = trial if a < trial < b else 0.5 * (a + b)
         weights(rule, s, w)
-        value = dot(w, r[p])
-        W_out[i] = dot(w, mesh.I[p]) - value
-        K_out[i] = value * math.exp(dot(w, S[p]) + c[of[p]])
+        value = dot(w, r, p)
+        W_out[i] = dot(w, mesh.I, p) - value
+        K_out[i] = value * math.exp(dot(w, S, p) + c[of[p]])
         if x < left[p] and p == first_alive(low, high):
             W_out[i] = 0.0
 
