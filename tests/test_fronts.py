@@ -216,10 +216,10 @@ def test_fronts_stay_in_order_and_keep_the_invariant():
 def test_a_fan_across_the_critical_slope_does_not_run_away():
     """One front from q > 0 to q < 0 would drive its right side to q = -1: it crosses no more than FAN in ln R."""
     problem = hj.Problem(hj.power(3.0), hj.steps([-4.4, -4.0, -3.0], [4.8, -0.79]), end=0.2, snapshots=2)
-    runs = [hj.track_fronts(problem, hj.Grid(-5.0, 400), n, exact=True) for n in (50, 400)]
+    runs = [hj.track_fronts(problem, hj.Grid(-5.0, 400), n, exact=True) for n in (10, 400)]
     assert all(run.done and run.q.min() >= -0.7905 for run in runs)  # measured -0.79016
     assert all(run.volume_budget_error <= 1e-10 for run in runs)
-    assert np.abs(runs[0].u[-1] - runs[1].u[-1]).max() <= 2e-3  # measured 1.3e-3
+    assert np.abs(runs[0].u[-1] - runs[1].u[-1]).max() <= 0.05  # measured 0.039 of a slope cut into ten
 
 
 def test_many_kinks_that_thicken_the_avalanche_ten_billion_times():
