@@ -215,11 +215,11 @@ def test_fronts_stay_in_order_and_keep_the_invariant():
 
 def test_a_fan_across_the_critical_slope_does_not_run_away():
     """One front from q > 0 to q < 0 would drive its right side to q = -1: it crosses no more than FAN in ln R."""
-    problem = hj.Problem(hj.power(3.0), hj.steps([-4.4, -4.0, -3.0], [4.8, -0.79]), end=0.2, snapshots=2)
-    runs = [hj.track_fronts(problem, hj.Grid(-5.0, 400), n, exact=True) for n in (10, 400)]
-    assert all(run.done and run.q.min() >= -0.7905 for run in runs)  # measured -0.79016
-    assert all(run.volume_budget_error <= 1e-10 for run in runs)
-    assert np.abs(runs[0].u[-1] - runs[1].u[-1]).max() <= 0.05  # measured 0.039 of a slope cut into ten
+    profile = hj.steps([-4.366, -4.071, -3.137, -2.489], [4.81, -0.79, 4.64])
+    problem = hj.Problem(hj.power(3.0), profile, end=0.5, snapshots=4)
+    for n in (10, 20, 40):  # cut as coarsely as so few fronts suggest, 10 stop and 20 fall to q = -0.877
+        run = hj.track_fronts(problem, hj.Grid(-5.0, 400), n, exact=True)
+        assert run.done and run.q.min() >= -0.791 and run.volume_budget_error <= 1e-10
 
 
 def test_many_kinks_that_thicken_the_avalanche_ten_billion_times():
