@@ -219,12 +219,12 @@ def label_of(side, k, target, of_W, start, r, X, mesh, rule, w):
 
 
 @compiled
-def bracket_labels(k, off, r, X, mesh, rule, law, w):
-    """Labels of shock k where Newton's method finds none: between the folds of X, W⁻ - W⁺ falls with x."""
+def bracket_labels(k, off, r, X, mesh, rule, w):
+    """Labels of shock k to start Newton's method from: between the folds of X, W⁻ - W⁺ falls with x."""
     right = fold(1.0, k, r, X, mesh, rule, w)
     if mesh.first[k] == mesh.first[k + 1]:
         off[k, 1] = label_of(1.0, k, 0.0, 1.0, right, r, X, mesh, rule, w)
-        return off[k, 1] == off[k, 1] and newton_labels(k, off, r, X, mesh, rule, law, w)
+        return off[k, 1] == off[k, 1]
     left = fold(-1.0, k, r, X, mesh, rule, w)
     if not (left >= 0.0 and right >= 0.0):
         return False
@@ -247,19 +247,22 @@ def bracket_labels(k, off, r, X, mesh, rule, law, w):
     if not (b0 == b0 and b1 == b1):
         return False
     off[k, 0], off[k, 1] = b0, b1
-    return newton_labels(k, off, r, X, mesh, rule, law, w)
+    return True
 
 
 @compiled
 def shock_labels(k, off, r, X, mesh, rule, law, w):
     """Fills the labels of shock k, by Newton's method or between folds; returns whether found, X rising at both."""
-    if newton_labels(k, off, r, X, mesh, rule, law, w):
-        rising = beside(1.0, k, off[k, 1], r, X, mesh, rule, w)[3] > 0.0
-        if mesh.first[k] < mesh.first[k + 1]:
-            rising = rising and beside(-1.0, k, off[k, 0], r, X, mesh, rule, w)[3] > 0.0
-        if rising or max(off[k, 0], off[k, 1]) == 0.0:
-            return True
-    return bracket_labels(k, off, r, X, mesh, rule, law, w)
+    for attempt in range(2):
+        if attempt == 1 and not bracket_labels(k, off, r, X, mesh, rule, w):
+            return False
+        if newton_labels(k, off, r, X, mesh, rule, law, w):
+            rising = beside(1.0, k, off[k, 1], r, X, mesh, rule, w)[3] > 0.0
+            if mesh.first[k] < mesh.first[k + 1]:
+                rising = rising and beside(-1.0, k, off[k, 0], r, X, mesh, rule, w)[3] > 0.0
+            if rising or attempt == 1 or max(off[k, 0], off[k, 1]) == 0.0:
+                return True
+    return False
 
 
 @compiled
