@@ -108,6 +108,24 @@ def test_two_kinks_born_at_one_moment():
     assert run.volume_budget_error <= 1e-10
 
 
+def test_three_kinks_meet_in_one_point():
+    """The middle amplitude is such that both merges fall on one moment, to 1e-15."""
+    profile = hj.kinks([-4.0, -3.3, -2.9], [0.5, 1.0869393748571268, 3.0])
+    problem = hj.Problem(hj.rational(), profile, end=8.0, snapshots=3)
+    run, fronts = hj.solve_characteristics(problem, GRID), hj.track_fronts(problem, GRID)
+    assert run.done and [e.event for e in run.events] == ["merge", "merge", "exit"]
+    assert np.abs(run.u - fronts.u).max() <= 1e-10 and abs(run.events[0].time - run.events[1].time) <= 1e-10
+
+
+@pytest.mark.parametrize("right", [1.2, -0.6])
+def test_a_slope_that_ends_in_a_jump_at_the_very_top(right):
+    problem = hj.Problem(hj.rational(), hj.steps([-3.0, -1.0, 0.0], [0.5, right]), end=1.0, snapshots=3)
+    run = hj.solve_characteristics(problem, GRID)
+    assert run.done and all(b.holds for b in run.bounds.values())
+    coarse, fine = (np.abs(hj.track_fronts(problem, GRID, n).u - run.u).max() for n in (800, 1600))
+    assert fine <= 1e-5 and fine <= 0.4 * coarse
+
+
 def test_hillslope():
     case = hj.load_case("hillslope")
     run = hj.solve_characteristics(case.problem, case.grid, 1e-9)
