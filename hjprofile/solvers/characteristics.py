@@ -23,6 +23,7 @@ from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels import characteristics as kernels
+from hjprofile.solvers.kernels.labels import after_start, before_end
 from hjprofile.solvers.kernels.law import LawTable, law_q_f
 from hjprofile.solvers.label_events import (
     FINE,
@@ -207,9 +208,9 @@ class _Solver:
             x = place(panels, k)
             sides = [self.r0]
             if panels.mesh.first[k] < panels.mesh.first[k + 1]:
-                p, s = kernels.before_end(panels.off[k, 0], k, panels.mesh)
+                p, s = before_end(panels.off[k, 0], k, panels.mesh)
                 sides = [float((interpolation(np.array([s])) @ panels.r[p])[0])]
-            p, s = kernels.after_start(panels.off[k, 1], k + 1, panels.mesh)
+            p, s = after_start(panels.off[k, 1], k + 1, panels.mesh)
             row = interpolation(np.array([s]))[0]
             sides.append(float(row @ panels.r[p]))
             K = sides[1] * np.exp(row @ self.S[p] + self.c[k + 1])

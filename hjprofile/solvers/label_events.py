@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hjprofile.solvers.kernels import characteristics as kernels
+from hjprofile.solvers.kernels import labels as kernels
 from hjprofile.solvers.panels import POINTS, RULE, Panels, interpolation
 from hjprofile.solvers.run import Array
 

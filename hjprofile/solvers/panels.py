@@ -14,7 +14,7 @@ from numpy.polynomial import chebyshev
 
 from hjprofile.errors import RunError
 from hjprofile.problem import Problem
-from hjprofile.solvers.kernels.characteristics import Mesh, Rule, after_start, before_end
+from hjprofile.solvers.kernels.labels import Mesh, Rule, after_start, before_end
 from hjprofile.solvers.run import Array
 
 POINTS = 16
@@ -64,7 +64,7 @@ def tails(values: Array) -> Array:
 
 @dataclass
 class Panels:
-    """The state of a solution by characteristics; conventions of `kernels.characteristics`.
+    """The state of a solution by characteristics; conventions of `kernels.labels`.
 
     Attributes:
         r, X: shape (panels, points).

@@ -1,0 +1,265 @@
+"""Labels of characteristics on panels of Chebyshev points, and those that meet in a shock (theory, §5).
+
+Segments of panels lie between shocks. A shock holds the distances `off` of its two labels from the joint between its
+segments: to the left in the segment before, to the right in the segment after. They solve X⁻ = X⁺, W⁻ = W⁺. Labels
+beyond them are dead, and follow the formula of their own segment.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hjprofile.solvers.kernels import compiled
+from hjprofile.solvers.kernels.law import law_derivatives
+
+CLOSE = 4e-15  # residual of X and W at which a shock's labels are found; below it Newton's step is noise
+NOISE = 1e-11  # residual beyond which they are not
+BEYOND = 1.5  # how far the polynomial of a panel may be continued, in its local variable
+
+
+class Rule(NamedTuple):
+    """Interpolation on the points of a panel.
+
+    Attributes:
+        s, bary: points in [-1, 1] and their barycentric weights.
+        D: derivative at the points.
+        B: B[i] @ g is ∫ g ds from s[i] to 1.
+    """
+
+    s: np.ndarray
+    bary: np.ndarray
+    D: np.ndarray
+    B: np.ndarray
+
+
+class Mesh(NamedTuple):
+    """What is frozen in the labels. Panels from left to right, in segments.
+
+    Attributes:
+        I, dI: the invariant and its derivative by the local variable, shape (panels, points).
+        half: half the width of a panel in the label.
+        joined: whether fields are analytic across the left end of a panel.
+        first: the first panel of each segment, and one past the last; the first segment may be empty (q = 0).
+    """
+
+    I: np.ndarray
+    dI: np.ndarray
+    half: np.ndarray
+    joined: np.ndarray
+    first: np.ndarray
+
+
+@compiled
+def weights(rule, s, w):
+    """Fills w so that w @ values is the interpolant at s."""
+    total = 0.0
+    for j in range(w.size):
+        d = s - rule.s[j]
+        if d == 0.0:
+            for i in range(w.size):
+                w[i] = 0.0
+            w[j] = 1.0
+            return
+        w[j] = rule.bary[j] / d
+        total += w[j]
+    for j in range(w.size):
+        w[j] /= total
+
+
+@compiled
+def dot(w, values, p):
+    """w @ values[p] for short rows."""
+    total = 0.0
+    for j in range(w.size):
+        total += w[j] * values[p, j]
+    return total
+
+
+@compiled
+def at_label(p, s, r, X, mesh, rule, w):
+    """r, X, W and dX/ds at a place in panel p; leaves the weights in w."""
+    weights(rule, s, w)
+    slope = 0.0
+    for i in range(w.size):
+        row = 0.0
+        for j in range(w.size):
+            row += rule.D[i, j] * X[p, j]
+        slope += w[i] * row
+    rate = dot(w, r, p)
+    return rate, dot(w, X, p), dot(w, mesh.I, p) - rate, slope
+
+
+@compiled
+def before_end(off, k, mesh):
+    """Panel and local place of the label `off` left of the end of segment k."""
+    p = mesh.first[k + 1] - 1
+    while off > 2.0 * mesh.half[p] and p > mesh.first[k] and mesh.joined[p]:
+        off -= 2.0 * mesh.half[p]
+        p -= 1
+    return p, 1.0 - off / mesh.half[p]
+
+
+@compiled
+def after_start(off, k, mesh):
+    """Panel and local place of the label `off` right of the start of segment k."""
+    p = mesh.first[k]
+    while off > 2.0 * mesh.half[p] and p + 1 < mesh.first[k + 1] and mesh.joined[p + 1]:
+        off -= 2.0 * mesh.half[p]
+        p += 1
+    return p, off / mesh.half[p] - 1.0
+
+
+@compiled
+def law_terms(r, law):
+    """f, df/drho and q at r."""
+    if law.f.shape[0] == 0:
+        return 1.0 - 1.0 / r, 1.0 / r, r - 1.0
+    f, f1, _ = law_derivatives(math.log(r), law)
+    return f, f1, f * r
+
+
+@compiled
+def newton_labels(k, off, r, X, mesh, rule, law, w):
+    """Labels of shock k by Newton's method from `off`: with W_ξ = q X_ξ it is closed form. Returns whether found."""
+    empty = mesh.first[k] == mesh.first[k + 1]
+    b0, b1 = off[k, 0], off[k, 1]
+    best = 1e300
+    for _ in range(25):
+        p, s = after_start(b1, k + 1, mesh)
+        if not abs(s) <= BEYOND:
+            break
+        r1, X1, W1, slope1 = at_label(p, s, r, X, mesh, rule, w)
+        half1 = mesh.half[p]
+        q1 = law_terms(r1, law)[2] if r1 > 0.0 else math.nan
+        if empty:
+            off_X, off_W, slope0, q0, half0 = 0.0, -W1, 1.0, 0.0, 1.0
+        else:
+            p, s = before_end(b0, k, mesh)
+            if not abs(s) <= BEYOND:
+                break
+            r0, X0, W0, slope0 = at_label(p, s, r, X, mesh, rule, w)
+            half0 = mesh.half[p]
+            q0 = law_terms(r0, law)[2] if r0 > 0.0 else math.nan
+            off_X, off_W = X0 - X1, W0 - W1
+        size = max(abs(off_X), abs(off_W))
+        if not size < 1e300:
+            break
+        if size < best:
+            best = size
+            off[k, 0], off[k, 1] = b0, b1
+            if size <= CLOSE:
+                return True
+        elif best <= NOISE * 0.01:
+            return True
+        if not q1 > q0 or slope0 <= 0.0 or slope1 <= 0.0:
+            break
+        move0 = (q1 * off_X - off_W) / (q0 - q1) * half0 / slope0
+        move1 = (q0 * off_X - off_W) / (q0 - q1) * half1 / slope1
+        if not empty:
+            b0 -= min(max(move0, -0.5 * half0), 0.5 * half0)
+        b1 += min(max(move1, -0.5 * half1), 0.5 * half1)
+        b0, b1 = max(b0, 0.0), max(b1, 0.0)
+    return best <= NOISE * 0.01
+
+
+@compiled
+def beside(side, k, off, r, X, mesh, rule, w):
+    """Local place, X, W and X_ξ of the label `off` left (side = -1.0) or right (1.0) of the joint of shock k."""
+    p, s = before_end(off, k, mesh) if side < 0.0 else after_start(off, k + 1, mesh)
+    rate, at, W, slope = at_label(p, s, r, X, mesh, rule, w)
+    return s, at, W, slope / mesh.half[p]
+
+
+@compiled
+def fold(side, k, r, X, mesh, rule, w):
+    """Least `off` beyond which X rises with the label; NaN if it is not on the panels at the joint."""
+    step = 0.1 * mesh.half[mesh.first[k + 1] - 1 if side < 0.0 else mesh.first[k + 1]]
+    low = high = 0.0
+    while True:
+        s, _, _, slope = beside(side, k, high, r, X, mesh, rule, w)
+        if not abs(s) <= BEYOND:
+            return math.nan
+        if slope > 0.0:
+            break
+        low = high
+        high += step
+        step *= 1.2
+    while high > 0.0 and high - low > 1e-15 + 1e-13 * high:
+        middle = 0.5 * (low + high)
+        if beside(side, k, middle, r, X, mesh, rule, w)[3] > 0.0:
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+@compiled
+def label_of(side, k, target, of_W, start, r, X, mesh, rule, w):
+    """The `off` beyond `start` at which X (or W, if of_W = 1.0 and not 0.0) is `target`; NaN if not on the panels."""
+    step = mesh.half[mesh.first[k + 1] - 1 if side < 0.0 else mesh.first[k + 1]]
+    low, high = start, start + 0.1 * step
+    while True:
+        s, at, W, _ = beside(side, k, high, r, X, mesh, rule, w)
+        if not abs(s) <= BEYOND:
+            return math.nan
+        if (at + of_W * (W - at) - target) * side >= 0.0:
+            break
+        low = high
+        high += 0.25 * step
+        step *= 1.2
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        _, at, W, _ = beside(side, k, middle, r, X, mesh, rule, w)
+        if (at + of_W * (W - at) - target) * side >= 0.0:
+            high = middle
+        else:
+            low = middle
+    return 0.5 * (low + high)
+
+
+@compiled
+def bracket_labels(k, off, r, X, mesh, rule, w):
+    """Labels of shock k to start Newton's method from: between the folds of X, W⁻ - W⁺ falls with x."""
+    right = fold(1.0, k, r, X, mesh, rule, w)
+    if mesh.first[k] == mesh.first[k + 1]:
+        off[k, 1] = label_of(1.0, k, 0.0, 1.0, right, r, X, mesh, rule, w)
+        return off[k, 1] == off[k, 1]
+    left = fold(-1.0, k, r, X, mesh, rule, w)
+    if not (left >= 0.0 and right >= 0.0):
+        return False
+    low, high = beside(1.0, k, right, r, X, mesh, rule, w)[1], beside(-1.0, k, left, r, X, mesh, rule, w)[1]
+    if not low < high:
+        return False
+    b0 = b1 = 0.0
+    for _ in range(60):
+        x = 0.5 * (low + high)
+        b0 = label_of(-1.0, k, x, 0.0, left, r, X, mesh, rule, w)
+        b1 = label_of(1.0, k, x, 0.0, right, r, X, mesh, rule, w)
+        if b0 != b0:
+            low = x
+        elif b1 != b1 or beside(-1.0, k, b0, r, X, mesh, rule, w)[2] < beside(1.0, k, b1, r, X, mesh, rule, w)[2]:
+            high = x
+        else:
+            low = x
+        if high - low < 1e-15 * max(1.0, abs(x)):
+            break
+    if not (b0 == b0 and b1 == b1):
+        return False
+    off[k, 0], off[k, 1] = b0, b1
+    return True
+
+
+@compiled
+def shock_labels(k, off, r, X, mesh, rule, law, w):
+    """Fills the labels of shock k, by Newton's method or between folds; returns whether found, X rising at both."""
+    for attempt in range(2):
+        if attempt == 1 and not bracket_labels(k, off, r, X, mesh, rule, w):
+            return False
+        if newton_labels(k, off, r, X, mesh, rule, law, w):
+            rising = beside(1.0, k, off[k, 1], r, X, mesh, rule, w)[3] > 0.0
+            if mesh.first[k] < mesh.first[k + 1]:
+                rising = rising and beside(-1.0, k, off[k, 0], r, X, mesh, rule, w)[3] > 0.0
+            if rising or attempt == 1 or max(off[k, 0], off[k, 1]) == 0.0:
+                return True
+    return False
