@@ -68,6 +68,8 @@ def solve(problem: Problem, tolerance: float, grid: Grid | None = None, progress
 
     `error_estimate` says what was reached, and `account` what was done where characteristics cannot go on.
     """
+    if not FINEST <= tolerance <= 1.0:
+        raise InputError(f"tolerance = {tolerance:g} must lie between {FINEST:g} and 1")
     problem.check(grid := grid or problem.profile.grid())
     try:
         run = solve_characteristics(problem, grid, min(max(0.1 * tolerance, FINEST), COARSEST), progress)

@@ -14,7 +14,8 @@ from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.law import law_derivatives
 
 CLOSE = 4e-15  # residual of X and W at which a shock's labels are found; below it Newton's step is noise
-NOISE = 1e-11  # residual beyond which they are not
+FOUND = 1e-13  # residual at which they are as good as rounding allows, when it falls no further
+NOISE = 1e-11  # residual of X = 0 beyond which the label at the top is lost
 BEYOND = 1.5  # how far the polynomial of a panel may be continued, in its local variable
 
 
@@ -150,7 +151,7 @@ def newton_labels(k, off, r, X, mesh, rule, law, w):
             off[k, 0], off[k, 1] = b0, b1
             if size <= CLOSE:
                 return True
-        elif best <= NOISE * 0.01:
+        elif best <= FOUND:
             return True
         if not q1 > q0 or slope0 <= 0.0 or slope1 <= 0.0:
             break
@@ -160,7 +161,7 @@ def newton_labels(k, off, r, X, mesh, rule, law, w):
             b0 -= min(max(move0, -0.5 * half0), 0.5 * half0)
         b1 += min(max(move1, -0.5 * half1), 0.5 * half1)
         b0, b1 = max(b0, 0.0), max(b1, 0.0)
-    return best <= NOISE * 0.01
+    return best <= FOUND
 
 
 @compiled
