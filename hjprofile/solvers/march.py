@@ -1,7 +1,12 @@
-"""Marching a scheme through time: step size, snapshots hit exactly, failure, those who watch."""
+"""Marching a scheme through time: step size, snapshots hit exactly, failure, those who watch.
+
+A scheme takes many steps of one length at a time. The length is chosen with a margin over the speed met last, the
+speed that was met is looked at afterwards, and the steps are taken anew, shorter, if it was more than they allow.
+"""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
@@ -14,11 +19,14 @@ from hjprofile.problem.grid import Grid
 from hjprofile.solvers.run import Array, Monitor, State
 
 STEP_FLOOR = 1e-9  # of the run's end: more steps than this allows would take days
-OBSERVE_EVERY = 6  # steps, so that between two states that monitors see nothing moves further than six cells
+MOST_STEPS = 64  # at a time; fewer on coarse grids, so that between two states that monitors see ...
+MOST_WAY = 1 / 32  # ... nothing moves further than this part of the grid
+MARGIN = 0.01  # by which the speed may rise while steps are taken, beyond half as much again as it rose last
+NEGLIGIBLE = 1e-40  # differences of W or q that are made none
 
 
 class Scheme(Protocol):
-    """A space discretisation with its own time step. `W`, `q`, `K` are valid after `evaluate`."""
+    """A discretisation with its own time steps. `q`, `K` belong to the present state after `evaluate`."""
 
     @property
     def W(self) -> Array: ...
@@ -30,15 +38,18 @@ class Scheme(Protocol):
     cfl_limit: float  # Δt max(K f')/Δx at which the scheme is still monotone (limited: total variation diminishing)
 
     def evaluate(self) -> float:
-        """Brings q, K and the fluxes up to the present state; returns max K f'. Raises Breakdown."""
+        """Brings q and K up to the present state; returns max K f'. Raises Breakdown."""
         ...
 
-    def advance(self, dt: float) -> None:
-        """One time step from the state last evaluated."""
+    def advance(self, dt: float, steps: int, bound: float) -> float:
+        """At most MOST_STEPS steps; returns the largest K f' met, which is not finite where the state broke down.
+
+        `bound` is what that should not exceed.
+        """
         ...
 
     def restore(self) -> None:
-        """Back to the state before the last step."""
+        """Back to the state before the last `advance`."""
         ...
 
     def volume(self) -> float:
@@ -101,41 +112,54 @@ def march(
             f"the run cannot start: K f' is not a finite number near x = {x:.6g}, where q = {broken.q:.6g}; "
             "the integral of f is too large (K spans more than 300 decades) or q is too near -1"
         ) from None
-    scheme.advance(0.0)  # compiles what is to be compiled
+    scheme.advance(0.0, 1, speed)  # compiles what is to be compiled
     watch(speed)
     if kept[0] == 0.0:
         save()
-    dt, started = 0.0, time.perf_counter()
+    dt, rise = 0.0, 0.0
+    most = longest_leap = min(MOST_STEPS, max(1, int(grid.cells * MOST_WAY)))
     try:
         for target in np.unique(np.append(kept[kept > 0.0], problem.end if problem.end else [])):
             while t < target:
+                bound = speed * (1.0 + MARGIN + 1.5 * rise)
+                dt = cfl * scheme.cfl_limit * grid.dx / bound
+                remaining = float(target) - t
+                needed = max(1, math.ceil(remaining / dt * (1.0 - 1e-12)))
+                if needed <= most:
+                    dt = remaining / needed
+                elif dt < STEP_FLOOR * problem.end:
+                    raise _StepTooSmall
+                leap = min(needed, most)
                 started = time.perf_counter()
-                seen = steps
-                while t < target and steps < seen + OBSERVE_EVERY:
-                    dt = cfl * scheme.cfl_limit * grid.dx / speed
-                    remaining = target - t
-                    if dt >= remaining:
-                        dt = remaining
-                    elif 2 * dt > remaining:  # two equal steps rather than a long and a tiny one
-                        dt = 0.5 * remaining
-                    if dt < STEP_FLOOR * problem.end and dt < remaining:
-                        raise _StepTooSmall
-                    scheme.advance(dt)
-                    speed = scheme.evaluate()
-                    t = target if dt == remaining else t + dt
-                    steps += 1
-                    shortest, longest = min(shortest, dt), max(longest, dt)
+                met = scheme.advance(dt, leap, bound)
                 seconds += time.perf_counter() - started
+                if bound < met < np.inf:
+                    scheme.restore()
+                    rise, speed = min(met / speed - 1.0, 1.0), met
+                    continue
+                try:
+                    present = scheme.evaluate()
+                except Breakdown:
+                    if leap == 1:
+                        raise
+                    present = np.inf
+                if not max(met, present) < np.inf:  # once more, to find out where
+                    scheme.restore()
+                    most = max(1, leap // 4)
+                    continue
+                rise, speed = max(0.0, met / speed - 1.0), met
+                most = min(2 * most, longest_leap)
+                t = float(target) if leap == needed else t + leap * dt
+                steps += leap
+                shortest, longest = min(shortest, dt), max(longest, dt)
                 watch(speed)
             if target in kept:
                 save()
     except Breakdown as broken:
-        seconds += time.perf_counter() - started
         status = _breakdown_sentence(broken, grid, t, dt, cfl)
         scheme.restore()
         speed = scheme.evaluate()
     except _StepTooSmall:
-        seconds += time.perf_counter() - started
         status = _small_step_sentence(scheme, problem, grid, t, dt, speed)
     if status != "done" and (not saved or saved[-1][0] < t):
         save()

@@ -17,6 +17,7 @@ from hjprofile.problem.grid import Grid
 from hjprofile.solvers import conservation, hj
 from hjprofile.solvers.characteristics import COARSEST, FINEST, TOLERANCE, solve_characteristics
 from hjprofile.solvers.fronts import track_fronts
+from hjprofile.solvers.high_order import ORDERS
 from hjprofile.solvers.march import Scheme, march
 from hjprofile.solvers.run import Run
 
@@ -24,8 +25,8 @@ Progress = Callable[[float], None]
 
 FRONTS = 1600, 12800  # where characteristics cannot go on: the first try, and the most
 
-HJ_METHODS = tuple(hj.FLUXES)
-CONSERVATIVE_METHODS = ("conservative", *conservation.FLUXES)
+HJ_METHODS = (*hj.FLUXES, *ORDERS)
+CONSERVATIVE_METHODS = ("conservative", *conservation.FLUXES, *conservation.HIGH_ORDER)
 METHODS = (*HJ_METHODS, *CONSERVATIVE_METHODS, "fronts", "characteristics", "auto")
 
 
@@ -134,8 +135,9 @@ def _solve(scheme: Scheme, problem: Problem, grid: Grid, method: str, cfl: float
         raise InputError(f"cfl = {cfl} must be a positive number")
     inflow = problem.profile.inflow
     bounds = BoundsMonitor(
-        problem.law, grid, inflow, monotone=method != "conservative", telescoping=method.endswith("telescoping")
-    )
+        problem.law, grid, inflow,
+        monotone=method.removeprefix("conservative-") in hj.FLUXES, telescoping=method.endswith("telescoping"),
+    )  # fmt: skip
     tracker = KinkTracker(problem.law, grid)
     record = march(scheme, problem, grid, cfl, (bounds, tracker), progress)
     kinks, events = tracker.result(record.times)

@@ -1,16 +1,18 @@
-"""Loops of the grid solvers.
+"""Plain loops of the grid solvers: what is done once for many steps, and reconstructions of higher order.
 
-A law enters as arrays of its values, so a user's own law runs through the same kernels as the built-in ones.
 Nodes carry index 0..N, cells 0..N-1; cell i lies between nodes i and i+1.
 """
 
 import math
 
-from hjprofile.solvers.kernels import compiled
+from hjprofile.solvers.kernels import compiled, vectorised
+
+FLOOR_SHARE = 0.5  # part of 1 + q by which an edge value may lie from its mean, which keeps q > -1
+GHOSTS = 3  # cells beyond either end that reconstructions may ask for
 
 
 @compiled
-def hj_slopes(W, dx, q):
+def slopes(W, dx, q):
     """q = W_x on the cells; returns the least, or NaN if any is not a number."""
     least = math.inf
     bad = 0
@@ -23,70 +25,100 @@ def hj_slopes(W, dx, q):
 
 
 @compiled
-def hj_exponent(f, dx, exponent):
-    """∫_x^0 f dξ at the nodes, one suffix sum."""
-    total = 0.0
-    exponent[f.size] = 0.0
+def exponent(f, dx, E):
+    """∫_x^0 f dξ at the nodes for values f on the cells."""
+    E[f.size] = 0.0
     for i in range(f.size - 1, -1, -1):
-        total += f[i] * dx
-        exponent[i] = total
+        E[i] = E[i + 1] + f[i] * dx
 
 
 @compiled
-def hj_speed(df, K):
-    """The largest K f', with each cell's f' and the larger K of its two nodes."""
-    speed = 0.0
-    for i in range(df.size):
-        speed = max(speed, max(K[i], K[i + 1]) * df[i])
-    return speed
+def flat_ends(y, first, last, left, right, negligible):
+    """Moves `first` up and `last` down to where y is not `left`, or not `right`; what hardly differs is made the same.
 
-
-@compiled
-def hj_local_lax_friedrichs(q, f_mean, df, K, F):
-    """F = K f(½(q⁻+q⁺)) - ½ α (q⁺-q⁻) at the inner nodes, α = K max(f'(q⁻), f'(q⁺)): f' is decreasing."""
-    for i in range(1, q.size):
-        alpha = K[i] * max(df[i - 1], df[i])
-        F[i] = K[i] * f_mean[i - 1] - 0.5 * alpha * (q[i] - q[i - 1])
-
-
-@compiled
-def hj_lax_friedrichs(q, f_mean, alpha, K, F):
-    """F = K f(½(q⁻+q⁺)) - ½ α (q⁺-q⁻) at the inner nodes, one α."""
-    for i in range(1, q.size):
-        F[i] = K[i] * f_mean[i - 1] - 0.5 * alpha * (q[i] - q[i - 1])
-
-
-@compiled
-def hj_update(W, F, dt):
-    """W_i -= dt F_i."""
-    for i in range(W.size):
-        W[i] -= dt * F[i]
-
-
-@compiled
-def limited_edges(q, floor_share, left, right):
-    """Values at both edges of each cell from the monotonised central slope.
-
-    The first and last cell take the one-sided slope. No edge lies further than `floor_share` of 1 + q from its mean
-    on the lower side, which keeps q > -1.
+    Without that a tail that decays for ever would end in denormal numbers.
     """
-    n = q.size
-    for i in range(n):
-        back = q[i] - q[i - 1] if i > 0 else q[1] - q[0]
-        ahead = q[i + 1] - q[i] if i < n - 1 else q[n - 1] - q[n - 2]
-        half = 0.0
-        if back * ahead > 0.0:
-            half = math.copysign(min(abs(back), abs(ahead), 0.25 * abs(back + ahead)), back)
-        most = floor_share * (1.0 + q[i])
-        half = max(-most, min(most, half))
-        left[i] = q[i] - half
-        right[i] = q[i] + half
+    while first < last and abs(y[first] - left) <= negligible:
+        y[first] = left
+        first += 1
+    while last > first and abs(y[last] - right) <= negligible:
+        y[last] = right
+        last -= 1
+    return first, last
+
+
+@vectorised
+def ghosts(padded):
+    """Fills GHOSTS cells beyond either end by quadratic extrapolation, no further out than the last three cells' range.
+
+    A bound is needed beside a kink; where q is smooth it is not met.
+    """
+    n = padded.size
+    for side in range(2):
+        at, inwards = (GHOSTS, 1) if side == 0 else (n - GHOSTS - 1, -1)
+        a, b, c = padded[at], padded[at + inwards], padded[at + 2 * inwards]
+        low, high = min(a, b, c), max(a, b, c)
+        reach = high - low
+        for k in range(1, GHOSTS + 1):
+            value = a + k * (a - b) + 0.5 * k * (k + 1) * (a - 2.0 * b + c)
+            padded[at - k * inwards] = min(max(value, low - reach), high + reach)
+
+
+@vectorised
+def edges_eno2(padded, edges):
+    """q on the left of the nodes 0..N by the less steep of the two lines through a cell's mean and a neighbour's."""
+    for i in range(edges.size):
+        q = padded[i + GHOSTS - 1]
+        back, ahead = q - padded[i + GHOSTS - 2], padded[i + GHOSTS] - q
+        half = 0.5 * (back if abs(back) < abs(ahead) else ahead)
+        most = FLOOR_SHARE * (1.0 + q)
+        edges[i] = q + max(min(half, most), -most)
+
+
+@vectorised
+def edges_weno5(padded, edges):
+    """q on the left of the nodes 0..N by WENO5 (Jiang and Shu, with the weights' map of Henrick et al.)."""
+    for i in range(edges.size):
+        a, b, q, c, d = padded[i], padded[i + 1], padded[i + 2], padded[i + 3], padded[i + 4]
+        q0 = (2.0 * a - 7.0 * b + 11.0 * q) / 6.0
+        q1 = (-b + 5.0 * q + 2.0 * c) / 6.0
+        q2 = (2.0 * q + 5.0 * c - d) / 6.0
+        s0 = 13.0 / 12.0 * (a - 2.0 * b + q) ** 2 + 0.25 * (a - 4.0 * b + 3.0 * q) ** 2
+        s1 = 13.0 / 12.0 * (b - 2.0 * q + c) ** 2 + 0.25 * (b - c) ** 2
+        s2 = 13.0 / 12.0 * (q - 2.0 * c + d) ** 2 + 0.25 * (3.0 * q - 4.0 * c + d) ** 2
+        t = abs(s0 - s2)  # WENO-Z: of fifth order at smooth extrema too
+        w0 = 0.1 * (1.0 + (t / (s0 + 1e-40)) ** 2)
+        w1 = 0.6 * (1.0 + (t / (s1 + 1e-40)) ** 2)
+        w2 = 0.3 * (1.0 + (t / (s2 + 1e-40)) ** 2)
+        edge = (w0 * q0 + w1 * q1 + w2 * q2) / (w0 + w1 + w2)
+        most = FLOOR_SHARE * (1.0 + q)
+        edges[i] = q + max(min(edge - q, most), -most)
 
 
 @compiled
-def edge_exponent(f_left, f_right, dx, exponent):
-    """∫_x^0 f dξ at the nodes by the trapezoidal rule in each cell."""
-    n = f_left.size
-    exponent[n] = 0.0
+def nonlocal_flux(f, dx, high_order, K, F):
+    """K and F = K f at the nodes 0..N for f at the nodes.
+
+    ∫ f over a cell by the trapezoidal rule, or by six nodes (sixth order; five at the ends).
+    """
+    n = f.size - 1
+    K[n] = 1.0
+    E = 0.0
+    F[n] = f[n]
     for i in range(n - 1, -1, -1):
-        exponent[i] = exponent[i + 1] + 0.5 * dx * (f_left[i] + f_right[i])
+        if not high_order or n < 6:
+            mean = 0.5 * (f[i] + f[i + 1])
+        elif 2 <= i <= n - 3:
+            mean = (
+                802.0 * (f[i] + f[i + 1]) - 93.0 * (f[i - 1] + f[i + 2]) + 11.0 * (f[i - 2] + f[i + 3])
+            ) / 1440.0  # fmt: skip
+        else:
+            out, k = (1, n) if i > 2 else (-1, 0)  # nodes k, k - out, ... from the end inwards
+            a, b, c, d, e = f[k], f[k - out], f[k - 2 * out], f[k - 3 * out], f[k - 4 * out]
+            if i == n - 1 or i == 0:
+                mean = (251.0 * a + 646.0 * b - 264.0 * c + 106.0 * d - 19.0 * e) / 720.0
+            else:
+                mean = (-19.0 * a + 346.0 * b + 456.0 * c - 74.0 * d + 11.0 * e) / 720.0
+        E += mean * dx
+        K[i] = math.exp(E)
+        F[i] = K[i] * f[i]

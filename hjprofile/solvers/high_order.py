@@ -1,0 +1,146 @@
+"""Reconstructions of second and fifth order with strong-stability-preserving Runge-Kutta steps.
+
+Upwind fluxes F = K f(q⁻) with q⁻ from the left of each node; K at the order of the scheme and anew in every stage.
+The state is W on the nodes or q on the cells: the two forms share what is done here and differ in their rates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from hjprofile.problem.grid import Grid
+from hjprofile.solvers.grid_law import GridLaw
+from hjprofile.solvers.kernels import grid as kernels
+from hjprofile.solvers.march import Breakdown
+from hjprofile.solvers.run import Array
+
+Rate = Callable[[Array], Array]
+
+
+def ssp_rk2(y: Array, rate: Rate, dt: float) -> Array:
+    """Heun's method."""
+    y1 = y + dt * rate(y)
+    return 0.5 * (y + y1 + dt * rate(y1))
+
+
+def ssp_rk4(y: Array, rate: Rate, dt: float) -> Array:
+    """Ketcheson's ten stages of fourth order (SIAM J. Sci. Comput. 30, 2008, algorithm 3)."""
+    y1 = y
+    for _ in range(5):
+        y1 = y1 + dt / 6.0 * rate(y1)
+    y2 = 0.04 * y + 0.36 * y1
+    y1 = 15.0 * y2 - 5.0 * y1
+    for _ in range(4):
+        y1 = y1 + dt / 6.0 * rate(y1)
+    return y2 + 0.6 * y1 + 0.1 * dt * rate(y1)
+
+
+class Order(NamedTuple):
+    """What goes together in a scheme: a reconstruction, a quadrature for K, and a time step with its limit."""
+
+    edges: Callable[[Array, Array], None]
+    high_quadrature: bool
+    step: Callable[[Array, Rate, float], Array]
+    stages: int
+    cfl_limit: float
+
+
+ORDERS: Mapping[str, Order] = MappingProxyType(
+    {
+        "eno2": Order(kernels.edges_eno2, False, ssp_rk2, 2, 0.5),
+        # monotone for linear data up to 6; smooth waves gain nothing from steps longer than this
+        "weno5": Order(kernels.edges_weno5, True, ssp_rk4, 10, 2.5),
+    }
+)
+
+
+class HighOrder:
+    """A scheme of the method of lines on the part of the grid where anything happens."""
+
+    def __init__(self, law: GridLaw, grid: Grid, state: Array, order: str, inflow: float):
+        self.law, self.grid, self.order, self.inflow = law, grid, ORDERS[order], inflow
+        self.cfl_limit = self.order.cfl_limit
+        self.state = state.copy()
+        self.q, self.K = np.empty(grid.cells), np.ones(grid.cells + 1)
+        self.growth = self.outflow = 0.0
+        self.active = self._flat_ends(0, self.state.size - 1)
+
+    def _means(self, state: Array, q: Array) -> float:
+        """Fills the cell means and returns the least, NaN where they are no numbers."""
+        raise NotImplementedError
+
+    def _rate(self, F: Array) -> Array:
+        """The state's rate of change from F at the nodes."""
+        raise NotImplementedError
+
+    def _flat_ends(self, first: int, last: int) -> tuple[int, int]:
+        """The first and the last entry of the state that belong to a slope that is not critical."""
+        raise NotImplementedError
+
+    def evaluate(self) -> float:
+        least = self._means(self.state, self.q)
+        if not -1.0 < least:
+            raise Breakdown(self.q, self.K)
+        self.law = self.law.covering(self.q)
+        return self._fluxes(self.q, self.inflow, self.K)[1]
+
+    def _fluxes(self, q: Array, inflow: float, K: Array) -> tuple[Array, float]:
+        """F at the nodes and the largest K f', from q on the cells; fills K."""
+        g = kernels.GHOSTS
+        padded = np.empty(q.size + 2 * g)
+        padded[g:-g] = q
+        kernels.ghosts(padded)
+        edges, F = np.empty(q.size + 1), np.empty(q.size + 1)
+        self.order.edges(padded, edges)
+        kernels.nonlocal_flux(self.law.f(edges), self.grid.dx, self.order.high_quadrature, K, F)
+        speed = float(np.max(np.maximum(K[:-1], K[1:]) * self.law.derivative(np.minimum(q, edges[1:]))))
+        if not 0.0 < speed < np.inf:
+            raise Breakdown(q, K)
+        F[0] = inflow
+        return F, speed
+
+    def advance(self, dt: float, steps: int, bound: float) -> float:
+        self.kept = self.state.copy(), self.active, self.growth, self.outflow
+        fastest, cells = 0.0, self.grid.cells
+        nodes = self.state.size - cells
+        for _ in range(steps):
+            reach = kernels.GHOSTS * self.order.stages + 6  # what a step can touch, and six nodes for a quadrature
+            a, b = max(self.active[0] - reach, 0), min(self.active[1] + 1 + reach, cells)
+            inflow = self.inflow if a == 0 else 0.0
+            q, K = np.empty(b - a), np.ones(b - a + 1)
+
+            def rate(y: Array, q: Array = q, K: Array = K, inflow: float = inflow) -> Array:
+                nonlocal fastest
+                least = self._means(y[:-2], q)
+                if not least > -1.0:
+                    raise Breakdown(q, K)
+                F, speed = self._fluxes(q, inflow, K)
+                fastest = max(fastest, speed)
+                return np.concatenate([self._rate(F), [K[0] - 1.0, F[-1]]])
+
+            part = slice(a, b + nodes)
+            y = np.concatenate([self.state[part], [self.growth, self.outflow]])
+            try:
+                y = self.order.step(y, rate, dt)
+            except Breakdown:
+                return np.inf
+            self.state[part] = y[:-2]
+            self.growth, self.outflow = float(y[-2]), float(y[-1])
+            self.active = self._flat_ends(a, b + nodes - 1)
+        return fastest
+
+    def restore(self) -> None:
+        self.state, self.active, self.growth, self.outflow = self.kept
+
+    def volume(self) -> float:
+        W = self.W
+        return self.grid.dx * float(np.sum(W) - 0.5 * (W[0] + W[-1]))
+
+    @property
+    def W(self) -> Array:
+        """u - x on the nodes."""
+        raise NotImplementedError

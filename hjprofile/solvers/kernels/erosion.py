@@ -1,0 +1,141 @@
+"""An erosion law inside the loops of the grid solvers: the rational law by its formula, any other as a table.
+
+Which one is meant is told by type, so that each is compiled by itself and on demand, with nothing to decide in a loop.
+A formula is evaluated where it is needed; a table is read for all lanes of a loop at once, ahead of it, since reading
+does not vectorise and the rest of the loop should.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import types
+from numba.extending import intrinsic, overload
+
+from hjprofile.solvers.kernels import vectorised
+
+PIECES = 11  # log2 of the pieces in each binade of 1 + q
+SHIFT = 52 - PIECES  # bits of a double that tell where in its piece 1 + q lies
+LANES = 64  # time levels that the sweeps of wavefront.py advance at once
+
+
+class Rational(NamedTuple):
+    """f = q/(1+q)."""
+
+
+class Tabulated(NamedTuple):
+    """Parabolas on the pieces into which the leading bits of 1 + q divide the positive numbers.
+
+    Attributes:
+        c0, c1, c2: coefficients in the distance from a piece's left end, each of shape (pieces,).
+        first: leading bits of the first piece.
+    """
+
+    c0: np.ndarray
+    c1: np.ndarray
+    c2: np.ndarray
+    first: int
+
+
+@intrinsic
+def _bits(typing_context, number):
+    """The bits of a double as an integer."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.bitcast(arguments[0], context.get_value_type(types.int64))
+
+    return types.int64(types.float64), generate
+
+
+@intrinsic
+def _double(typing_context, bits):
+    """The double with these bits."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.bitcast(arguments[0], context.get_value_type(types.float64))
+
+    return types.float64(types.int64), generate
+
+
+@vectorised
+def positive(p):
+    """p, or 0 where it is not a positive number: a pole turns what must not be into an infinite speed."""
+    return p if p > 0.0 else 0.0
+
+
+@vectorised
+def _read(p, law, f, df):
+    """f and f' at 1 + q = p, an array of lanes that is first brought into the range of the table."""
+    least = _double(law.first << SHIFT)
+    most = _double(((law.first + law.c0.size) << SHIFT) - 1)
+    for l in range(LANES):
+        inside = p[l] if p[l] > least else least
+        p[l] = inside if inside < most else most
+    for l in range(LANES):
+        piece = _bits(p[l]) >> SHIFT
+        s = p[l] - _double(piece << SHIFT)
+        j = np.uint64(piece - law.first)  # unsigned: an index that is not looked at for being negative
+        c1, c2 = law.c1[j], law.c2[j]
+        f[l] = law.c0[j] + s * (c1 + s * c2)
+        df[l] = c1 + s * (c2 + c2)
+
+
+def is_table(law):
+    """Whether the law is read ahead of a loop."""
+
+
+def read(p, law, f, df):
+    """Fills f and f' at 1 + q = p, arrays of lanes, if the law is a table."""
+
+
+def eroded(l, d, dx, law, f, df):
+    """f(q) dx and f'(q) in lane l for the mass d = q dx of a cell: by formula, or as read into f and df."""
+
+
+def eroded_with_mean(l, d, s, dx, law, f, df, f_mean):
+    """The same, and f dx at the mean of two neighbours with masses of sum s."""
+
+
+@overload(is_table)
+def _is_table(law):
+    return (lambda law: False) if law.instance_class is Rational else (lambda law: True)
+
+
+@overload(read)
+def _read_if_table(p, law, f, df):
+    if law.instance_class is Rational:
+        return lambda p, law, f, df: None
+    return lambda p, law, f, df: _read(p, law, f, df)
+
+
+@overload(eroded)
+def _eroded(l, d, dx, law, f, df):
+    if law.instance_class is Rational:
+
+        def rational(l, d, dx, law, f, df):
+            r = dx / positive(dx + d)
+            return d * r, r * r
+
+        return rational
+
+    def tabulated(l, d, dx, law, f, df):
+        return f[l] * dx, df[l] if d > -dx else np.inf
+
+    return tabulated
+
+
+@overload(eroded_with_mean)
+def _eroded_with_mean(l, d, s, dx, law, f, df, f_mean):
+    if law.instance_class is Rational:
+
+        def rational(l, d, s, dx, law, f, df, f_mean):
+            p, p_mean = positive(dx + d), 2.0 * dx + s
+            r = dx / (p * p_mean)  # one division for both
+            r1 = r * p_mean
+            return d * r1, r1 * r1, s * (r * p)
+
+        return rational
+
+    def tabulated(l, d, s, dx, law, f, df, f_mean):
+        return f[l] * dx, df[l] if d > -dx else np.inf, f_mean[l] * dx
+
+    return tabulated

@@ -1,0 +1,227 @@
+"""Many time levels in one sweep (docs: kernels).
+
+K at a cell needs the cells on its right at the same level, a flux its left neighbour at the same level. So a sweep
+from x = 0 to the left can advance LANES levels at once if each lags a few cells behind the one before. A lane carries
+a level; lanes do not wait for each other within a step of the sweep, so the loop over lanes vectorises.
+
+Lanes are numbered from the last level to the first: lane l reads in `row[l + 1]` what the level before it wrote one
+step earlier, and writes `row[l]`. Lanes that have not started, or have passed the left end, compute nonsense that
+nobody reads: a lane is set up when it starts.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba.extending import overload
+
+from hjprofile.solvers.kernels import vectorised
+from hjprofile.solvers.kernels.erosion import LANES, eroded, eroded_with_mean, is_table, read
+
+
+class LocalLaxFriedrichs(NamedTuple):
+    """F = K f(½(q⁻+q⁺)) - ½ α (q⁺-q⁻), α = K max(f'(q⁻), f'(q⁺)): f' is decreasing."""
+
+    bound: float
+
+
+class LaxFriedrichs(NamedTuple):
+    """The same with one α = `bound`, at least the largest K f' of all steps."""
+
+    bound: float
+
+
+class Godunov(NamedTuple):
+    """F = K f(q⁻): all speeds are positive."""
+
+    bound: float
+
+
+class Telescoping(NamedTuple):
+    """F_i = (K_{i-1} - K_i)/Δx."""
+
+    bound: float
+
+
+@vectorised
+def growth(z):
+    """K_{i-1}/K_i for z = f Δx: e^z to second order, as the schemes are at best; positive, and bounded below."""
+    z = max(z, -1.0)
+    return 1.0 + z * (1.0 + 0.5 * z)
+
+
+def looks_ahead(flux):
+    """Whether the flux needs q on the right of its node."""
+
+
+def node_flux(flux, law, l, K, d, d_right, df_right, dx, rows):
+    """At a node, from d = q dx on either side: f dx and f' on its left, F dx, and the K f' that bounds the step."""
+
+
+@overload(looks_ahead)
+def _looks_ahead(flux):
+    central = flux.instance_class in (LocalLaxFriedrichs, LaxFriedrichs)
+    return (lambda flux: True) if central else (lambda flux: False)
+
+
+@overload(node_flux)
+def _node_flux(flux, law, l, K, d, d_right, df_right, dx, rows):
+    kind = flux.instance_class
+    if kind is Godunov:
+
+        def godunov(flux, law, l, K, d, d_right, df_right, dx, rows):
+            z, df = eroded(l, d, dx, law, rows[0], rows[1])
+            return z, df, K * z, K * df
+
+        return godunov
+    if kind is Telescoping:
+
+        def telescoping(flux, law, l, K, d, d_right, df_right, dx, rows):
+            z, df = eroded(l, d, dx, law, rows[0], rows[1])
+            return z, df, K * (growth(z) - 1.0), K * df * (1.0 + max(z, 0.0))
+
+        return telescoping
+    if kind is LaxFriedrichs:
+
+        def lax_friedrichs(flux, law, l, K, d, d_right, df_right, dx, rows):
+            z, df, z_mean = eroded_with_mean(l, d, d + d_right, dx, law, rows[0], rows[1], rows[2])
+            return z, df, K * z_mean - 0.5 * flux.bound * (d_right - d), K * max(df, df_right)
+
+        return lax_friedrichs
+
+    def local_lax_friedrichs(flux, law, l, K, d, d_right, df_right, dx, rows):
+        z, df, z_mean = eroded_with_mean(l, d, d + d_right, dx, law, rows[0], rows[1], rows[2])
+        fastest = max(df, df_right)
+        return z, df, K * (z_mean - 0.5 * fastest * (d_right - d)), K * fastest
+
+    return local_lax_friedrichs
+
+
+@vectorised
+def hj_pass(W, dx, dt, levels, inflow, law, flux):
+    """Advances W (nodes from left to right) by `levels` <= LANES forward Euler steps W_i -= dt F_i, in place.
+
+    F is `inflow` at the left end, and K is 1 and q the same on both sides at the right end. Returns the largest K f'
+    of all steps and ∫(K(left) - 1) dt.
+    """
+    n = W.size - 1
+    ratio, per_dx = dt / dx, 1.0 / dx
+    last = LANES - levels  # the lane of the last level
+    row, right, K = np.zeros(LANES + 1), np.zeros(LANES), np.ones(LANES)
+    d_right, df_right, fastest = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+    rows = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)  # f, f' and f at the mean, where they are read
+    p, unused = np.zeros(LANES), np.zeros(LANES)
+    right[LANES - 1] = W[n]
+    grown = 0.0
+    for step in range(n + 2 * levels - 1):
+        row[LANES] = W[max(n - step - 1, 0)]
+        start, stop = LANES - 1 - step // 2, LANES - 1 - (step - n) // 2  # lanes at the right end, at the left end
+        starts = step % 2 == 0 and start >= last
+        if starts:
+            K[start], fastest[start] = 1.0, 0.0
+            d_right[start] = right[start] - row[start + 1]
+        at_left = step >= n and (step - n) % 2 == 0
+        if at_left:
+            height = right[stop] - dt * inflow
+            grown += dt * (K[stop] - 1.0)
+        if is_table(law):
+            for l in range(LANES):
+                p[l] = 1.0 + (right[l] - row[l + 1]) * per_dx
+            read(p, law, rows[0], rows[1])
+            if looks_ahead(flux):
+                for l in range(LANES):
+                    p[l] = 1.0 + (d_right[l] + (right[l] - row[l + 1])) * (0.5 * per_dx)
+                read(p, law, rows[2], unused)
+        if looks_ahead(flux) and starts:
+            _, df_right[start] = eroded(start, d_right[start], dx, law, rows[0], rows[1])
+        for l in range(LANES):
+            here, left = right[l], row[l + 1]
+            right[l] = left
+            d = here - left
+            z, df, F, speed = node_flux(flux, law, l, K[l], d, d_right[l], df_right[l], dx, rows)
+            row[l] = here - ratio * F
+            if looks_ahead(flux):
+                d_right[l], df_right[l] = d, df
+            fastest[l] = max(fastest[l], speed)
+            K[l] *= growth(z)
+        if at_left:
+            row[stop] = height
+        done = n - step + 2 * (levels - 1)
+        if done <= n:
+            W[done] = row[last]
+    return fastest[last:].max(), grown
+
+
+@vectorised
+def limited(back, ahead):
+    """Half the rise over a cell from its neighbours' rises: the central one, kept between theirs (MC)."""
+    half = min(min(abs(back), abs(ahead)), 0.25 * abs(back + ahead))
+    return math.copysign(half, ahead) if back * ahead > 0.0 else 0.0
+
+
+@vectorised
+def hancock_pass(q, dx, dt, levels, inflow, floor_share, law):
+    """Advances cell means q (from left to right) by `levels` <= LANES MUSCL-Hancock steps, in place.
+
+    A step takes q and K half a step ahead by q_t = K f² - K f' q_x and the flux from there, with K by the midpoint
+    rule. At either end of the grid slopes are one-sided; the flux is `inflow` at the left end. No edge value lies
+    further than `floor_share` of 1 + q from its mean, which keeps q > -1. Returns the largest K f' of all steps,
+    ∫(K(left) - 1) dt and ∫F(right) dt.
+    """
+    n = q.size
+    ratio = dt / dx
+    last = LANES - levels
+    row, here, ahead, K = np.zeros(LANES + 1), np.zeros(LANES), np.zeros(LANES), np.ones(LANES)
+    edge, z, flux, fastest = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+    f, df, f_edge, df_edge, p = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+    here[LANES - 1] = q[n - 1]
+    grown = outflow = 0.0
+    for step in range(n + 3 * levels - 2):
+        row[LANES] = q[max(n - step - 2, 0)]
+        start = LANES - 1 - step // 3
+        starts = step % 3 == 0 and start >= last
+        if starts:
+            K[start], fastest[start] = 1.0, 0.0
+            ahead[start] = 2.0 * here[start] - row[start + 1]
+        first, beyond = LANES - 1 - (step - n + 1) // 3, LANES - 1 - (step - n) // 3
+        if step >= n - 1 and (step - n + 1) % 3 == 0:  # at the first cell
+            row[first + 1] = 2.0 * here[first] - ahead[first]
+        finishes = step >= n and (step - n) % 3 == 0
+        if finishes:  # one cell further, where the first cell's new value is due
+            value = ahead[beyond] - ratio * (flux[beyond] - inflow)
+            grown += dt * (K[beyond] - 1.0)
+        if is_table(law):
+            for l in range(LANES):
+                p[l] = 1.0 + here[l]
+            read(p, law, f, df)
+        for l in range(LANES):
+            f_here, df_here = eroded(l, here[l], 1.0, law, f, df)
+            half = limited(here[l] - row[l + 1], ahead[l] - here[l])
+            most = floor_share * (1.0 + here[l])
+            half = max(min(half, most), -most)
+            z_here = f_here * dx
+            rise = K[l] * (1.0 + 0.5 * z_here) * (0.5 * ratio * f_here * z_here - ratio * df_here * half)
+            edge[l] = here[l] + half + rise
+            z[l] = z_here + df_here * rise * dx
+            df[l] = df_here
+        if is_table(law):
+            for l in range(LANES):
+                p[l] = 1.0 + edge[l]
+            read(p, law, f_edge, df_edge)
+        for l in range(LANES):
+            left = row[l + 1]  # before it is overwritten
+            f_out, df_out = eroded(l, edge[l], 1.0, law, f_edge, df_edge)
+            F = K[l] * f_out
+            row[l] = ahead[l] - ratio * (flux[l] - F)
+            flux[l] = F
+            fastest[l] = max(fastest[l], K[l] * max(df[l], df_out))
+            K[l] *= growth(z[l])
+            ahead[l], here[l] = here[l], left
+        if starts:
+            outflow += dt * flux[start]
+        if finishes:
+            row[beyond] = value
+        done = n - step + 3 * (levels - 1)
+        if done < n:
+            q[done] = row[last]
+    return fastest[last:].max(), grown, outflow
