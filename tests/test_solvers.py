@@ -3,18 +3,20 @@
 import math
 
 import numpy as np
-import oracles
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hjprofile as hj
+from hjprofile.solvers import conservation
 from hjprofile.solvers import hj as hj_form
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink
+from hjprofile.solvers.grid_law import grid_law
 from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS
 
 # A dozen and more neighbouring grids: the error jitters with the place of the kink inside its cell.
 METHODS = (*HJ_METHODS, *CONSERVATIVE_METHODS)
+HIGHER_ORDER = ("eno2", "weno5", "conservative-eno2", "conservative-weno5")
 GRIDS = np.unique(np.geomspace(250, 4000, 16).round().astype(int)).tolist()
 
 SCENES = {
@@ -46,12 +48,12 @@ ORDERS = {
     ("6a", "local-lax-friedrichs"): (1.01, 0.98, 2.29e-3),
     ("6a", "godunov"): (1.00, 0.98, 2.00e-3),
     ("6a", "telescoping"): (1.00, 0.97, 3.86e-3),
-    ("6a", "conservative"): (1.99, 1.07, 8.4e-4),
+    ("6a", "conservative"): (2.12, 1.22, 5.0e-4),
     ("6f", "lax-friedrichs"): (1.04, 0.99, 5.50e-4),
     ("6f", "local-lax-friedrichs"): (1.03, 1.04, 1.90e-4),
     ("6f", "godunov"): (1.02, 1.03, 1.64e-4),
     ("6f", "telescoping"): (2.02, 1.05, 1.50e-4),
-    ("6f", "conservative"): (2.03, 1.11, 8.6e-5),
+    ("6f", "conservative"): (2.06, 1.11, 6.0e-5),
     ("6b", "godunov"): (0.99, 0.95, 3.43e-3),
 }
 
@@ -78,20 +80,24 @@ def test_error_on_1000_cells(method, most):
 @pytest.mark.parametrize(
     ("method", "low", "high", "finest"),
     [
-        ("conservative", 1.9, 2.2, 4e-5),
+        ("conservative", 1.9, 2.3, 1.2e-5),
+        ("eno2", 1.9, 2.1, 3.5e-5),
+        ("weno5", 4.0, 4.9, 4.5e-8),
+        ("conservative-weno5", 4.0, 4.9, 4.5e-8),
         ("godunov", 0.95, 1.05, 3e-3),
         ("local-lax-friedrichs", 0.95, 1.05, 3e-3),
         ("lax-friedrichs", 0.95, 1.05, 9e-3),
     ],
 )
 def test_orders_where_all_is_smooth(method, low, high, finest):
-    """T2 at t = 0.5, before its first shock, against an independent solution by characteristics (error 3e-8)."""
-    W = oracles.t2_smooth_solution(0.5)
+    """T2 at t = 0.5, before its first shock, against another solution by characteristics."""
     problem = hj.Problem(hj.rational(), hj.bumps([0.8, -0.3], [-5.0, -3.0], [1.0, 0.5]), end=0.5, snapshots=2)
-    cells, found = [250, 500, 1000, 2000], []
+    # ENO2 is late to reach its order; WENO5 meets rounding and the reference's error beyond
+    cells, found = [500, 1000, 2000, 4000] if method == "eno2" else [250, 500, 1000, 2000], []
     for n in cells:
         grid = hj.Grid(-10.0, n)
-        found.append(grid.dx * np.abs(solve(problem, grid, method).q[-1] - np.diff(W(grid.nodes)) / grid.dx).sum())
+        exact = hj.solve_characteristics(problem, grid).q[-1]  # to 1e-13, tested against closed forms
+        found.append(grid.dx * np.abs(solve(problem, grid, method).q[-1] - exact).sum())
     assert low <= hj.observed_order(cells, found) <= high
     assert found[-1] <= finest
 
@@ -128,22 +134,26 @@ def test_snapshots_are_hit_exactly_and_fields_belong_together(method):
     f = run.q / (1 + run.q)
     K = np.exp(0.02 * np.cumsum(f[:, ::-1], axis=1)[:, ::-1])
     # the quadratures for K differ by what a smeared jump of 0.7 holds: a cell or two of f
-    assert np.abs(run.K[:, :-1] / K - 1).max() <= (1e-12 if method != "conservative" else 0.02)
+    assert np.abs(run.K[:, :-1] / K - 1).max() <= (1e-12 if run.method not in HIGHER_ORDER else 0.02)
 
 
 @pytest.mark.parametrize("method", ["godunov", "telescoping"])
 def test_causality(method):
     """What lies right of a point does not feel what lies left of it before that arrives (§6h): bit for bit."""
-    law, grid = hj.rational(), hj.Grid(-10.0, 500)
+    grid = hj.Grid(-10.0, 500)
     kink, step = hj.kinks([-2.0], [0.8]), hj.steps([-9.0, -8.0], [0.5])
-    alone = kink.W(grid.nodes, law)
+    law = grid_law(hj.rational(), np.array([0.0, 0.8]))
+    alone = kink.W(grid.nodes, hj.rational())
     schemes = [
-        hj_form.HamiltonJacobi(law, grid, W, hj_form.FLUXES[method]) for W in (alone, alone + step.W(grid.nodes, law))
+        hj_form.HamiltonJacobi(law, grid, W, hj_form.FLUXES[method])
+        for W in (alone, alone + step.W(grid.nodes, hj.rational()))
     ]
-    for _ in range(100):
-        dt = 0.9 * grid.dx / max(scheme.evaluate() for scheme in schemes)
+    for _ in range(20):
+        bound = 1.1 * max(scheme.evaluate() for scheme in schemes)
         for scheme in schemes:
-            scheme.advance(dt)
+            scheme.advance(0.9 * grid.dx / bound, 5, bound)
+    for scheme in schemes:
+        scheme.evaluate()
     right = grid.centres > -8.0 + 100 * grid.dx
     # W carries the mass on its left, so that q differs by the rounding of W (1e-16) over dx (2e-2)
     assert np.abs(schemes[0].q - schemes[1].q)[right].max() <= 1e-13
@@ -165,7 +175,8 @@ def test_both_forms_agree_to_rounding(values, law, method):
         hj.solve_hj(problem, grid, method), hj.solve_conservative(problem, grid, f"conservative-{method}")
     )
     # W up to 15, some 1e4 steps of 1e-16 W / dx each, adding up at random: 1e-11
-    assert apart.slope_max <= 1e-10
+    # WENO's weights are quotients of small numbers: at a kink they make more of rounding
+    assert apart.slope_max <= (1e-8 if method == "weno5" else 1e-10)
 
 
 @settings(max_examples=60, deadline=None)
@@ -189,18 +200,18 @@ def test_comparison_principle_with_K_frozen(data, rise, method):
     law, grid = hj.rational(), hj.Grid(-1.0, 8)
     low = np.concatenate([[0.0], np.cumsum(data) * grid.dx])
     high = low + np.array(rise)
-    if np.any(np.diff(high) / grid.dx <= -0.95):
+    q = [np.diff(W) / grid.dx for W in (low, high)]
+    if np.any(q[1] <= -0.95):
         return
-    first, second = (hj_form.HamiltonJacobi(law, grid, W, hj_form.FLUXES[method]) for W in (low, high))
-    speed = max(first.evaluate(), second.evaluate())
-    for scheme in (first, second):
-        scheme.K[:] = first.K
-        speed = max(speed, first.K.max() * float(scheme.df.max()))
-    for scheme in (first, second):
-        scheme.flux(scheme, speed)
-        scheme.advance(grid.dx / speed)
-    # node 0 has no neighbour on the left; 1e-14 is the rounding of W of order 10
-    assert np.all(second.W[1:] - first.W[1:] >= -1e-14)
+    K = np.exp(grid.dx * np.cumsum(law.f(q[0])[::-1])[::-1])
+    K = np.append(K[1:], 1.0)
+    speed = max(float(np.max(law.derivative(mine)) * K.max()) for mine in q)
+    flux = conservation.FLUXES[f"conservative-{method}"]
+    stepped = [
+        W[1:] - grid.dx / speed * flux(law, grid.dx, mine, np.append(mine[1:], mine[-1]), K, speed)[0]
+        for W, mine in zip((low, high), q, strict=True)
+    ]
+    assert np.all(stepped[1] - stepped[0] >= -1e-14)  # the rounding of W of order 10
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -23,7 +23,8 @@ LEAST_JUMP = 0.05  # a weaker jump cannot be told from a steep smooth rise on gr
 WIDEST = 16  # cells over which a shock may spread; Lax-Friedrichs spreads a jump of 0.4 over this many
 FOOT = 0.08  # a rise ends where it falls below this part of its steepest rise per cell
 GAP, FIT = 1, 4  # cells left out beside the rise, and cells to which a line is fitted
-MEMORY = 10  # sightings from which the path of a kink is extrapolated to a merge or to x = 0
+MEMORY = 10  # sightings at most from which a kink's speed is measured, ...
+NEARBY = 40  # ... and the cells within which they lie, or else the nearest two
 LEAST_LIFE = 3  # sightings that make a kink; fewer are a flicker of the threshold
 
 
@@ -139,13 +140,15 @@ class _Path:
         self.times.append(t)
         self.sightings.append(sighting)
 
-    def recent(self) -> tuple[Array, Array]:
-        """Times and places of the last MEMORY sightings."""
-        return np.array(self.times[-MEMORY:]), np.array([s.x for s in self.sightings[-MEMORY:]])
+    def recent(self, dx: float) -> tuple[Array, Array]:
+        """Times and places of the last MEMORY sightings that are near the last."""
+        x = np.array([s.x for s in self.sightings[-MEMORY:]])
+        near = np.abs(x - x[-1]) <= NEARBY * dx
+        return np.array(self.times[-MEMORY:])[near], x[near]
 
-    def velocity(self, speed: Speed) -> float:
+    def velocity(self, dx: float, speed: Speed) -> float:
         """Measured over the last sightings where there are enough, else by Rankine-Hugoniot."""
-        t, x = self.recent()
+        t, x = self.recent(dx)
         return _slope(t, x) if t.size > 3 else speed(self.sightings[-1])
 
 
@@ -155,9 +158,17 @@ class KinkTracker:
     def __init__(self, law: ErosionLaw, grid: Grid):
         self.law, self.grid = law, grid
         self.frames: list[tuple[float, list[Sighting]]] = []
+        self.latest: tuple[float, list[Sighting]] = (-np.inf, [])
+
+    def happened(self, state: State) -> bool:
+        """Whether there are more or fewer kinks than when they were last observed."""
+        self.latest = state.t, detect_kinks(self.grid, state.q, state.K)
+        return len(self.latest[1]) != len(self.frames[-1][1])
 
     def observe(self, state: State) -> None:
-        self.frames.append((state.t, detect_kinks(self.grid, state.q, state.K)))
+        if self.latest[0] != state.t:
+            self.latest = state.t, detect_kinks(self.grid, state.q, state.K)
+        self.frames.append(self.latest)
 
     def result(self, kept: Array) -> tuple[list[KinkRecord], list[Event]]:
         """Kinks at the kept times, and the events of the whole run."""
@@ -204,7 +215,7 @@ def link(frames: Sequence[tuple[float, list[Sighting]]], dx: float, speed: Speed
                 living.append(path)
             for other in claimants:
                 if other is not path:
-                    _merge(other, path, speed)
+                    _merge(other, path, dx, speed)
                     living.remove(other)
             path.add(t, new)
         for path in [p for p in living if p.times[-1] < t]:
@@ -216,13 +227,13 @@ def link(frames: Sequence[tuple[float, list[Sighting]]], dx: float, speed: Speed
 
 def _expected(path: _Path, t: float, dx: float, speed: Speed) -> tuple[float, float]:
     """Where the kink should be at t, and how far from there it may be found."""
-    travel = path.velocity(speed) * (t - path.times[-1])
+    travel = path.velocity(dx, speed) * (t - path.times[-1])
     return path.sightings[-1].x + travel, 4 * dx + 0.5 * abs(travel)
 
 
 def _is_lost(path: _Path, t: float, dx: float, speed: Speed) -> bool:
     """Out of sight for longer than two shocks need to become one."""
-    return abs(path.velocity(speed)) * (t - path.times[-1]) > 2 * WIDEST * dx
+    return abs(path.velocity(dx, speed)) * (t - path.times[-1]) > 2 * WIDEST * dx
 
 
 def _untangle(claims: dict[int, list[_Path]], sightings: list[Sighting]) -> None:
@@ -242,8 +253,8 @@ def _untangle(claims: dict[int, list[_Path]], sightings: list[Sighting]) -> None
 
 def _leaves(path: _Path, t: float, dx: float, speed: Speed) -> bool:
     """Ends a path that went out of sight when it was about to reach x = 0."""
-    times, x = path.recent()
-    velocity = path.velocity(speed)
+    times, x = path.recent(dx)
+    velocity = path.velocity(dx, speed)
     if velocity <= 0 or x[-1] < -3 * WIDEST * dx:
         return False
     arrival = float(times[-1] - x[-1] / velocity)
@@ -253,12 +264,14 @@ def _leaves(path: _Path, t: float, dx: float, speed: Speed) -> bool:
     return True
 
 
-def _merge(loser: _Path, winner: _Path, speed: Speed) -> None:
+def _merge(loser: _Path, winner: _Path, dx: float, speed: Speed) -> None:
     """Ends `loser` where it meets `winner`: extrapolated, for shocks that touch are seen as one too early."""
     common = sorted(set(loser.times) & set(winner.times))[-MEMORY:]
     if common:
         xs = [np.array([p.sightings[p.times.index(t)].x for t in common]) for p in (loser, winner)]
-        t, gap = np.array(common), xs[1] - xs[0]
+        near = np.abs(xs[0] - xs[0][-1]) <= NEARBY * dx
+        xs = [x[near] for x in xs]
+        t, gap = np.array(common)[near], xs[1] - xs[0]
         if t.size > 3:
             closing, velocity, now, apart, here = -_slope(t, gap), _slope(t, xs[1]), t.mean(), gap.mean(), xs[1].mean()
         else:
@@ -281,7 +294,7 @@ def _merge_lost(paths: list[_Path], end: float, dx: float, speed: Speed) -> None
             continue
         other = beside[0]
         gap = other.sightings[other.times.index(t)].x - x
-        closing = (lost.velocity(speed) - speed(other.sightings[other.times.index(t)])) * np.sign(gap)
+        closing = (lost.velocity(dx, speed) - speed(other.sightings[other.times.index(t)])) * np.sign(gap)
         if abs(gap) > 3 * WIDEST * dx or closing <= 0:
             continue
         if lost.number < other.number:  # the lower number lives on: it takes over the rest of the other's path
@@ -296,7 +309,7 @@ def _merge_lost(paths: list[_Path], end: float, dx: float, speed: Speed) -> None
                 if p.into is other and p.end and p.end.time > t:
                     p.into = lost
             lost, other = other, lost
-        _merge(lost, other, speed)
+        _merge(lost, other, dx, speed)
 
 
 def _without_flicker(paths: list[_Path]) -> list[_Path]:
@@ -319,14 +332,17 @@ def _slope(t: Array, x: Array) -> float:
 
 
 def _measured_speed(path: _Path, i: int, dx: float) -> float:
-    """Slope of a line through MEMORY sightings around the i-th; NaN if there is only one."""
-    first, last = i, i
-    while last - first < MEMORY and (first > 0 or last < len(path.times) - 1):
-        first, last = max(first - 1, 0), min(last + 1, len(path.times) - 1)
+    """Slope of a line through the sightings around the i-th; NaN if there is only one."""
+    x = [s.x for s in path.sightings]
+    first, last = max(i - 1, 0), min(i + 1, len(x) - 1)
+    while last - first < MEMORY:
+        more = [k for k in (first - 1, last + 1) if 0 <= k < len(x) and abs(x[k] - x[i]) <= NEARBY * dx]
+        if not more:
+            break
+        first, last = min(first, *more), max(last, *more)
     if last == first:
         return float("nan")
-    t = np.array(path.times[first : last + 1])
-    return _slope(t, np.array([s.x for s in path.sightings[first : last + 1]]))
+    return _slope(np.array(path.times[first : last + 1]), np.array(x[first : last + 1]))
 
 
 def events_of(paths: Sequence[_Path], end: float) -> list[Event]:

@@ -83,55 +83,57 @@ class HighOrder:
 
     def evaluate(self) -> float:
         least = self._means(self.state, self.q)
-        if not -1.0 < least:
+        if not least > -1.0:
             raise Breakdown(self.q, self.K)
         self.law = self.law.covering(self.q)
-        return self._fluxes(self.q, self.inflow, self.K)[1]
+        return self._speed(self.q, self._fluxes(self.q, self.inflow, self.K)[1], self.K)
 
-    def _fluxes(self, q: Array, inflow: float, K: Array) -> tuple[Array, float]:
-        """F at the nodes and the largest K f', from q on the cells; fills K."""
+    def _fluxes(self, q: Array, inflow: float, K: Array) -> tuple[Array, Array]:
+        """F at the nodes and q on their left, from q on the cells; fills K."""
         g = kernels.GHOSTS
         padded = np.empty(q.size + 2 * g)
         padded[g:-g] = q
         kernels.ghosts(padded)
         edges, F = np.empty(q.size + 1), np.empty(q.size + 1)
         self.order.edges(padded, edges)
-        kernels.nonlocal_flux(self.law.f(edges), self.grid.dx, self.order.high_quadrature, K, F)
+        kernels.nonlocal_flux(self.law.law.f(edges), self.grid.dx, self.order.high_quadrature, K, F)
+        F[0] = inflow
+        return F, edges
+
+    def _speed(self, q: Array, edges: Array, K: Array) -> float:
+        """The largest K f'. Raises Breakdown if there is none."""
         speed = float(np.max(np.maximum(K[:-1], K[1:]) * self.law.derivative(np.minimum(q, edges[1:]))))
         if not 0.0 < speed < np.inf:
             raise Breakdown(q, K)
-        F[0] = inflow
-        return F, speed
+        return speed
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
         self.kept = self.state.copy(), self.active, self.growth, self.outflow
-        fastest, cells = 0.0, self.grid.cells
-        nodes = self.state.size - cells
-        for _ in range(steps):
-            reach = kernels.GHOSTS * self.order.stages + 6  # what a step can touch, and six nodes for a quadrature
-            a, b = max(self.active[0] - reach, 0), min(self.active[1] + 1 + reach, cells)
-            inflow = self.inflow if a == 0 else 0.0
-            q, K = np.empty(b - a), np.ones(b - a + 1)
+        return max(self._step(dt) for _ in range(steps))
 
-            def rate(y: Array, q: Array = q, K: Array = K, inflow: float = inflow) -> Array:
-                nonlocal fastest
-                least = self._means(y[:-2], q)
-                if not least > -1.0:
-                    raise Breakdown(q, K)
-                F, speed = self._fluxes(q, inflow, K)
-                fastest = max(fastest, speed)
-                return np.concatenate([self._rate(F), [K[0] - 1.0, F[-1]]])
+    def _step(self, dt: float) -> float:
+        """One time step; returns the largest K f' before it."""
+        cells, nodes = self.grid.cells, self.state.size - self.grid.cells
+        reach = kernels.GHOSTS * self.order.stages + 6  # what a step can touch, and six nodes for a quadrature
+        a, b = max(self.active[0] - reach, 0), min(self.active[1] + 1 + reach, cells)
+        inflow = self.inflow if a == 0 else 0.0
+        q, K = np.empty(b - a), np.ones(b - a + 1)
+        speeds: list[float] = []
 
-            part = slice(a, b + nodes)
-            y = np.concatenate([self.state[part], [self.growth, self.outflow]])
-            try:
-                y = self.order.step(y, rate, dt)
-            except Breakdown:
-                return np.inf
-            self.state[part] = y[:-2]
-            self.growth, self.outflow = float(y[-2]), float(y[-1])
-            self.active = self._flat_ends(a, b + nodes - 1)
-        return fastest
+        def rate(y: Array) -> Array:
+            if not self._means(y[:-2], q) > -1.0:
+                raise Breakdown(q, K)
+            F, edges = self._fluxes(q, inflow, K)
+            if not speeds:  # of states, not of stages
+                speeds.append(self._speed(q, edges, K))
+            return np.concatenate([self._rate(F), [K[0] - 1.0, F[-1]]])
+
+        part = slice(a, b + nodes)
+        y = self.order.step(np.concatenate([self.state[part], [self.growth, self.outflow]]), rate, dt)
+        self.state[part] = y[:-2]
+        self.growth, self.outflow = float(y[-2]), float(y[-1])
+        self.active = self._flat_ends(a, b + nodes - 1)
+        return speeds[0]
 
     def restore(self) -> None:
         self.state, self.active, self.growth, self.outflow = self.kept

@@ -47,7 +47,7 @@ class HamiltonJacobi:
 
     def evaluate(self) -> float:
         least = kernels.slopes(self.W, self.grid.dx, self.q)
-        if not -1.0 < least:
+        if not least > -1.0:
             raise Breakdown(self.q, self.K)
         self.law = self.law.covering(self.q)
         kernels.exponent(self.law.f(self.q), self.grid.dx, self.K)

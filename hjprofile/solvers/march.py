@@ -21,6 +21,7 @@ from hjprofile.solvers.run import Array, Monitor, State
 STEP_FLOOR = 1e-9  # of the run's end: more steps than this allows would take days
 MOST_STEPS = 64  # at a time; fewer on coarse grids, so that between two states that monitors see ...
 MOST_WAY = 1 / 32  # ... nothing moves further than this part of the grid
+CLOSE_STEPS = 6  # at a time, where a monitor wants to know when something happened
 MARGIN = 0.01  # by which the speed may rise while steps are taken, beyond half as much again as it rose last
 NEGLIGIBLE = 1e-40  # differences of W or q that are made none
 
@@ -42,9 +43,9 @@ class Scheme(Protocol):
         ...
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
-        """At most MOST_STEPS steps; returns the largest K f' met, which is not finite where the state broke down.
+        """At most MOST_STEPS steps; returns the largest K f' met, which should not exceed `bound`.
 
-        `bound` is what that should not exceed.
+        Where the state breaks down that is not finite, or Breakdown is raised.
         """
         ...
 
@@ -63,7 +64,8 @@ class Breakdown(Exception):
     def __init__(self, q: Array, K: Array):
         bad = ~(np.isfinite(q) & (q > -1.0))
         # K is summed from the right, so the rightmost bad cell is the first to blame
-        self.cell = int(np.flatnonzero(bad)[-1]) if bad.any() else int(np.argmin(np.isfinite(K)))
+        elsewhere = np.argmin(q) if np.isfinite(K).all() else np.argmin(np.isfinite(K))
+        self.cell = int(np.flatnonzero(bad)[-1]) if bad.any() else int(elsewhere)
         self.q = float(q[self.cell])
 
 
@@ -87,15 +89,21 @@ class Recording(NamedTuple):
 def march(
     scheme: Scheme, problem: Problem, grid: Grid, cfl: float,
     monitors: Sequence[Monitor] = (), progress: Callable[[float], None] | None = None,
+    happened: Callable[[State], bool] = lambda state: False,
 ) -> Recording:  # fmt: skip
-    """Runs `scheme` to the problem's end; `progress` is called with the fraction that is done."""
+    """Runs `scheme` to the problem's end; `progress` is called with the fraction that is done.
+
+    Where `happened` says that something has since the last state, the steps in between are taken anew, few at a time.
+    """
     saved: list[tuple[float, Array, Array, Array]] = []
     kept = problem.times
     t, steps, seconds, status = 0.0, 0, 0.0, "done"
     shortest, longest = np.inf, 0.0
 
-    def watch(speed: float) -> None:
-        state = State(t, scheme.W, scheme.q, scheme.K, speed, scheme.volume(), scheme.growth, scheme.outflow)
+    def present(t: float, speed: float) -> State:
+        return State(t, scheme.W, scheme.q, scheme.K, speed, scheme.volume(), scheme.growth, scheme.outflow)
+
+    def watch(state: State) -> None:
         for monitor in monitors:
             monitor.observe(state)
         if progress:
@@ -113,10 +121,10 @@ def march(
             "the integral of f is too large (K spans more than 300 decades) or q is too near -1"
         ) from None
     scheme.advance(0.0, 1, speed)  # compiles what is to be compiled
-    watch(speed)
+    watch(present(t, speed))
     if kept[0] == 0.0:
         save()
-    dt, rise = 0.0, 0.0
+    dt, rise, close_until = 0.0, 0.0, 0.0
     most = longest_leap = min(MOST_STEPS, max(1, int(grid.cells * MOST_WAY)))
     try:
         for target in np.unique(np.append(kept[kept > 0.0], problem.end if problem.end else [])):
@@ -129,30 +137,37 @@ def march(
                     dt = remaining / needed
                 elif dt < STEP_FLOOR * problem.end:
                     raise _StepTooSmall
-                leap = min(needed, most)
+                leap = min(needed, CLOSE_STEPS if t < close_until else most)
                 started = time.perf_counter()
-                met = scheme.advance(dt, leap, bound)
-                seconds += time.perf_counter() - started
-                if bound < met < np.inf:
-                    scheme.restore()
-                    rise, speed = min(met / speed - 1.0, 1.0), met
-                    continue
                 try:
-                    present = scheme.evaluate()
+                    met = scheme.advance(dt, leap, bound)
+                    seconds += time.perf_counter() - started
+                    if bound < met < np.inf and (cfl <= 1.0 or leap > 1):
+                        scheme.restore()
+                        if cfl <= 1.0:
+                            rise, speed = min(met / speed - 1.0, 1.0), met
+                        else:  # no bound is promised; each step by the speed before it, to show what comes of it
+                            most = max(1, leap // 4)
+                        continue
+                    scheme.evaluate()
+                    if not met < np.inf:
+                        raise Breakdown(scheme.q, scheme.K)
                 except Breakdown:
                     if leap == 1:
                         raise
-                    present = np.inf
-                if not max(met, present) < np.inf:  # once more, to find out where
-                    scheme.restore()
+                    scheme.restore()  # and once more, to find out where
                     most = max(1, leap // 4)
                     continue
-                rise, speed = max(0.0, met / speed - 1.0), met
+                state = present(float(target) if leap == needed else t + leap * dt, met)
+                if leap > CLOSE_STEPS and happened(state):
+                    close_until = state.t
+                    scheme.restore()
+                    continue
+                rise, speed, t = max(0.0, met / speed - 1.0), met, state.t
                 most = min(2 * most, longest_leap)
-                t = float(target) if leap == needed else t + leap * dt
                 steps += leap
                 shortest, longest = min(shortest, dt), max(longest, dt)
-                watch(speed)
+                watch(state)
             if target in kept:
                 save()
     except Breakdown as broken:

@@ -139,7 +139,7 @@ def _solve(scheme: Scheme, problem: Problem, grid: Grid, method: str, cfl: float
         monotone=method.removeprefix("conservative-") in hj.FLUXES, telescoping=method.endswith("telescoping"),
     )  # fmt: skip
     tracker = KinkTracker(problem.law, grid)
-    record = march(scheme, problem, grid, cfl, (bounds, tracker), progress)
+    record = march(scheme, problem, grid, cfl, (bounds, tracker), progress, tracker.happened)
     kinks, events = tracker.result(record.times)
     return Run(
         title=problem.title,

@@ -25,14 +25,18 @@ class Rational(NamedTuple):
 class Tabulated(NamedTuple):
     """Parabolas on the pieces into which the leading bits of 1 + q divide the positive numbers.
 
+    With s the distance from a piece's left end, f = c0 + s (c1 + s c2) and f' = c1 + s d1, both continuous: a state
+    that is known to rounding only must not be told apart by the piece that it falls into.
+
     Attributes:
-        c0, c1, c2: coefficients in the distance from a piece's left end, each of shape (pieces,).
+        c0, c1, c2, d1: coefficients, each of shape (pieces,).
         first: leading bits of the first piece.
     """
 
     c0: np.ndarray
     c1: np.ndarray
     c2: np.ndarray
+    d1: np.ndarray
     first: int
 
 
@@ -63,20 +67,39 @@ def positive(p):
 
 
 @vectorised
-def _read(p, law, f, df):
-    """f and f' at 1 + q = p, an array of lanes that is first brought into the range of the table."""
+def _confine(p, law):
+    """Brings an array of lanes into the range of the table."""
     least = _double(law.first << SHIFT)
     most = _double(((law.first + law.c0.size) << SHIFT) - 1)
     for l in range(LANES):
         inside = p[l] if p[l] > least else least
         p[l] = inside if inside < most else most
+
+
+@vectorised
+def _place(p, law):
+    """The piece where p lies, and its distance from the piece's left end."""
+    piece = _bits(p) >> SHIFT
+    # unsigned: an index that is not looked at for being negative
+    return np.uint64(piece - law.first), p - _double(piece << SHIFT)
+
+
+@vectorised
+def _read(p, law, f, df):
+    _confine(p, law)
     for l in range(LANES):
-        piece = _bits(p[l]) >> SHIFT
-        s = p[l] - _double(piece << SHIFT)
-        j = np.uint64(piece - law.first)  # unsigned: an index that is not looked at for being negative
-        c1, c2 = law.c1[j], law.c2[j]
-        f[l] = law.c0[j] + s * (c1 + s * c2)
-        df[l] = c1 + s * (c2 + c2)
+        j, s = _place(p[l], law)
+        c1 = law.c1[j]
+        f[l] = law.c0[j] + s * (c1 + s * law.c2[j])
+        df[l] = c1 + s * law.d1[j]
+
+
+@vectorised
+def _read_f(p, law, f):
+    _confine(p, law)
+    for l in range(LANES):
+        j, s = _place(p[l], law)
+        f[l] = law.c0[j] + s * (law.c1[j] + s * law.c2[j])
 
 
 def is_table(law):
@@ -85,6 +108,10 @@ def is_table(law):
 
 def read(p, law, f, df):
     """Fills f and f' at 1 + q = p, arrays of lanes, if the law is a table."""
+
+
+def read_f(p, law, f):
+    """Fills f alone."""
 
 
 def eroded(l, d, dx, law, f, df):
@@ -105,6 +132,13 @@ def _read_if_table(p, law, f, df):
     if law.instance_class is Rational:
         return lambda p, law, f, df: None
     return lambda p, law, f, df: _read(p, law, f, df)
+
+
+@overload(read_f)
+def _read_f_if_table(p, law, f):
+    if law.instance_class is Rational:
+        return lambda p, law, f: None
+    return lambda p, law, f: _read_f(p, law, f)
 
 
 @overload(eroded)

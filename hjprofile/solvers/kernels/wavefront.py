@@ -16,7 +16,7 @@ import numpy as np
 from numba.extending import overload
 
 from hjprofile.solvers.kernels import vectorised
-from hjprofile.solvers.kernels.erosion import LANES, eroded, eroded_with_mean, is_table, read
+from hjprofile.solvers.kernels.erosion import LANES, eroded, eroded_with_mean, is_table, read, read_f
 
 
 class LocalLaxFriedrichs(NamedTuple):
@@ -110,7 +110,7 @@ def hj_pass(W, dx, dt, levels, inflow, law, flux):
     row, right, K = np.zeros(LANES + 1), np.zeros(LANES), np.ones(LANES)
     d_right, df_right, fastest = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
     rows = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)  # f, f' and f at the mean, where they are read
-    p, unused = np.zeros(LANES), np.zeros(LANES)
+    p = np.zeros(LANES)
     right[LANES - 1] = W[n]
     grown = 0.0
     for step in range(n + 2 * levels - 1):
@@ -131,7 +131,7 @@ def hj_pass(W, dx, dt, levels, inflow, law, flux):
             if looks_ahead(flux):
                 for l in range(LANES):
                     p[l] = 1.0 + (d_right[l] + (right[l] - row[l + 1])) * (0.5 * per_dx)
-                read(p, law, rows[2], unused)
+                read_f(p, law, rows[2])
         if looks_ahead(flux) and starts:
             _, df_right[start] = eroded(start, d_right[start], dx, law, rows[0], rows[1])
         for l in range(LANES):
