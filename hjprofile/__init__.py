@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from hjprofile.evidence.accuracy import Comparison as Comparison
     from hjprofile.evidence.accuracy import compare as compare
     from hjprofile.evidence.accuracy import observed_order as observed_order
+    from hjprofile.evidence.chart import chart as chart
     from hjprofile.evidence.consistency import check_consistency as check_consistency
     from hjprofile.output.store import load_run as load_run
     from hjprofile.output.store import write_run as write_run
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "errors": ("InputError", "RunError"),
     "evidence.accuracy": ("Comparison", "compare", "observed_order"),
+    "evidence.chart": ("chart",),
     "evidence.consistency": ("check_consistency",),
     "output.store": ("load_run", "write_run"),
     "problem": ("Problem",),

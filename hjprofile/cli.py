@@ -15,6 +15,7 @@ from hjprofile.errors import InputError, RunError
 
 if TYPE_CHECKING:
     from hjprofile.evidence.consistency import Check
+    from hjprofile.problem.case import Case
     from hjprofile.solvers.run import Run
 
 app = App(
@@ -88,12 +89,10 @@ def check(*case: str, out: Out = None) -> None:
     """
     from hjprofile.evidence.consistency import check_consistency
     from hjprofile.output.store import open_folder, to_json, write_whole
-    from hjprofile.problem.case import load_case
 
     if not case:
         raise InputError("check needs at least one CASE: a TOML file or the name of a shipped case")
-    loaded = [load_case(c) for c in case]
-    folder = out or (Path("results") / loaded[0].name if len(loaded) == 1 else Path("results"))
+    folder, loaded = _cases(case, out)
     open_folder(folder)
     verdicts: list[dict[str, Any]] = []
     for one in loaded:
@@ -110,6 +109,35 @@ def check(*case: str, out: Out = None) -> None:
     print(f"written to {folder / 'check.json'}")
     if failed:
         raise RunError(f"the consistency test fails on {', '.join(failed)}; lines marked FAILS above say where")
+
+
+@app.command
+def chart(*case: str, out: Out = None) -> None:
+    """Chart the accuracy of every method against its seconds, on one case or several.
+
+    Writes chart.csv and chart.png.
+    """
+    from hjprofile.evidence.chart import Point, pareto
+    from hjprofile.evidence.chart import chart as chart_case
+    from hjprofile.output.plots import chart_picture
+    from hjprofile.output.store import open_folder, to_csv, write_whole
+
+    if not case:
+        raise InputError("chart needs at least one CASE: a TOML file or the name of a shipped case")
+    folder, loaded = _cases(case, out)
+    open_folder(folder)
+    charts = {}
+    for one in loaded:
+        with _Progress(f"charting {one.name}") as progress:
+            charts[one.name] = points, reference = chart_case(one.name, one.problem, one.grid, one.cfl, progress)
+        known = f" (u to {reference.error:.1g})" if reference.error else ""
+        print(f"{one.name}: {len(points)} runs against {reference.name}{known}. None beats in seconds and in error:")
+        for p in pareto(points):
+            errors = f"{p.error_q_l1:8.1e} of q  {p.error_u_sup:8.1e} of u"
+            print(f"  {p.method:22} {p.cells:6}  {errors}  {p.seconds:.2g} s")
+    write_whole(folder / "chart.csv", to_csv(Point._fields, [p for points, _ in charts.values() for p in points]))
+    write_whole(folder / "chart.png", chart_picture(charts))
+    print(f"written to {folder}: chart.csv, chart.png")
 
 
 @app.command
@@ -157,6 +185,14 @@ def cases() -> None:
     width = max(map(len, shipped), default=0)
     for name, path in shipped.items():
         print(f"{name:{width}}  {tomllib.loads(path.read_text(encoding='utf-8')).get('title', '')}")
+
+
+def _cases(names: tuple[str, ...], out: Path | None) -> tuple[Path, list[Case]]:
+    """The cases, and the folder for what comes of them all."""
+    from hjprofile.problem.case import load_case
+
+    loaded = [load_case(name) for name in names]
+    return out or (Path("results") / loaded[0].name if len(loaded) == 1 else Path("results")), loaded
 
 
 def _account(run: Run) -> str:

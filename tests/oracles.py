@@ -109,3 +109,23 @@ def _follow(positions, J, start, end):
     meet.terminal = leave.terminal = True
     options = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-13, "dense_output": True}
     return solve_ivp(rate, (start, end), positions, events=[meet, leave], **options)
+
+
+def muscl_hancock(q, law, dx, dt, floor_share):
+    """One step of the second-order conservative scheme, cell by cell; also K at the left end and F at x = 0."""
+    n = q.size
+    F = np.zeros(n + 1)
+    K = 1.0
+    for i in range(n - 1, -1, -1):
+        ahead = q[i + 1] - q[i] if i < n - 1 else q[i] - q[i - 1]
+        back = q[i] - q[i - 1] if i > 0 else q[i + 1] - q[i]
+        half = 0.0
+        if ahead * back > 0:
+            half = np.sign(ahead) * min(abs(ahead), abs(back), 0.25 * abs(ahead + back))
+        half = float(np.clip(half, -floor_share * (1 + q[i]), floor_share * (1 + q[i])))
+        f, df = float(law.f(q[i])), float(law.derivative(q[i]))
+        rise = 0.5 * dt * K * (1 + 0.5 * f * dx) * (f * f - df * 2 * half / dx)  # q_t = K f² - K f' q_x
+        F[i + 1] = K * float(law.f(q[i] + half + rise))
+        z = max((f + df * rise) * dx, -1.0)
+        K *= 1 + z + 0.5 * z * z
+    return q - dt / dx * np.diff(F), K, F[n]

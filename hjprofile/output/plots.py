@@ -1,9 +1,10 @@
-"""Pictures of a run; the only module that knows matplotlib. Drawn off screen, without pyplot's global state."""
+"""Pictures of runs and charts; the only module that knows matplotlib. Drawn off screen, without pyplot."""
 
 from __future__ import annotations
 
 import io
 import textwrap
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib import colormaps
@@ -13,10 +14,68 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, TwoSlopeNorm
 from matplotlib.figure import Figure
 
+from hjprofile.evidence.chart import Point, Reference, pareto
 from hjprofile.solvers.run import Array, Run
 
 LINES = 9  # profiles that are drawn; more hide each other
 ERODED, DEPOSITED = "#c8553d", "#3d7ea6"
+
+
+# method -> colour and marker; a form's carried-over fluxes share its colour and are drawn lightly. Okabe and Ito's
+# colours can be told apart without green and red.
+_LOOKS = {
+    "local-lax-friedrichs": ("#E69F00", "o"),
+    "lax-friedrichs": ("#999999", "o"),
+    "godunov": ("#56B4E9", "o"),
+    "telescoping": ("#CC79A7", "o"),
+    "eno2": ("#009E73", "s"),
+    "weno5": ("#000000", "D"),
+    "conservative": ("#0072B2", "s"),
+    "fronts": ("#D55E00", "^"),
+    "characteristics": ("#B8A800", "*"),
+}
+
+
+def chart_picture(charts: Mapping[str, tuple[Sequence[Point], Reference]]) -> bytes:
+    """PNG of `draw_chart`."""
+    return _png(draw_chart(charts))
+
+
+def draw_chart(charts: Mapping[str, tuple[Sequence[Point], Reference]]) -> Figure:
+    """Error against seconds, a row for each case: sup|u| on the left, ∫|q| on the right with its Pareto front."""
+    figure = _figure(10.0, 4.6 * len(charts))
+    rows = figure.subplots(len(charts), 2, squeeze=False)
+    for (case, (points, reference)), row in zip(charts.items(), rows, strict=True):
+        for axes, error, label in zip(
+            row, ("error_u_sup", "error_q_l1"), ("sup |u - exact u|", "∫ |q - exact q| dx at the end"), strict=True
+        ):
+            for method in dict.fromkeys(p.method for p in points):
+                mine = [(p.seconds, max(getattr(p, error), 1e-16)) for p in points if p.method == method]
+                carried = method not in _LOOKS
+                colour, marker = _LOOKS[method.removeprefix("conservative-") if carried else method]
+                light = {"alpha": 0.35, "mfc": "none", "ls": ":"} if carried else {}
+                name = "the same, conservative-..." if carried else method
+                known = name in axes.get_legend_handles_labels()[1]
+                (line,) = axes.loglog(*np.array(mine).T, color=colour, marker=marker, ms=4, lw=1.0, **light)
+                line.set_label("_" if known else name)
+            axes.set_xlabel("seconds of time stepping")
+            axes.set_ylabel(label)
+            axes.grid(alpha=0.25, lw=0.5)
+            if reference.error > 0.0 and error == "error_u_sup":
+                axes.axhline(reference.error, color="0.5", lw=0.8, ls="--")
+        front = pareto(points)
+        row[1].step(
+            [p.seconds for p in front], [max(p.error_q_l1, 1e-16) for p in front],
+            where="post", color="0.25", lw=4.0, alpha=0.25, marker="o", ms=9, label="Pareto front",
+        )  # fmt: skip
+        row[0].set_title(case, loc="left", fontweight="bold")
+        against = f"against {reference.name}"
+        if reference.error > 0.0:
+            against += f", u to {reference.error:.0e} (dashed)"
+        row[1].set_title(against, loc="right", fontsize=8, color="0.35")
+    handles, labels = rows[0][1].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside right upper", fontsize=8, frameon=False)
+    return figure
 
 
 def pictures(run: Run) -> dict[str, bytes | str]:

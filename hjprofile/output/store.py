@@ -63,8 +63,8 @@ def write_run(run: Run, folder: str | Path, vtk: bool = True, plots: bool = True
     """Writes the whole result folder and returns its files; files of an earlier run there are replaced."""
     files: dict[str, bytes | str] = {
         "profile.nc": netcdf(run),
-        "kinks.csv": _table(KinkRecord._fields, run.kinks),
-        "events.csv": _table(Event._fields, run.events),
+        "kinks.csv": to_csv(KinkRecord._fields, run.kinks),
+        "events.csv": to_csv(Event._fields, run.events),
     }
     if vtk:
         from hjprofile.output.vtk import vtk_files
@@ -169,7 +169,7 @@ def to_json(content: Any) -> str:
     return json.dumps(plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def _table(header: Iterable[str], rows: Iterable[tuple]) -> str:
+def to_csv(header: Iterable[str], rows: Iterable[tuple]) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(header)

@@ -41,8 +41,12 @@ from hjprofile.solvers.panels import POINTS, RULE, TAIL, Panels, cut_into_panels
 from hjprofile.solvers.run import Array, Event, KinkRecord, Run
 
 TOLERANCE = 1e-12
-FINEST, COARSEST = 1e-13, 1e-4  # finer is rounding; coarser saves nothing (0.046 s at 1e-4 and 1e-6 on two bumps)
-COARSER = 100.0  # ratio of the tolerances of the two runs from which the error is estimated
+FINEST, COARSEST = 1e-13, 1e-4  # that may be asked for: finer is rounding
+STEPS = 1e-7  # coarsest tolerance of the steps: coarser ones save nothing, and at 1e-4 they can miss a birth
+COARSER, COARSE_STEPS = (
+    100.0,
+    1e-6,
+)  # ratio of the tolerances of the two runs that estimate the error; the second's most
 BUDGET = 30.0  # allowance of a budget in tolerances, of the size of its terms; 2000 random runs kept it
 ROUNDING = 1e-14  # of W of order 1, after some hundred steps; measured 7e-14 at most on the rational closed forms
 CORNER = (
@@ -340,8 +344,9 @@ def solve_characteristics(
     except RunError as error:
         raise RunError(f"stopped at t = 0: {error}; use the method fronts") from None
     table = _table(problem, panels)
-    coarse = _march(_Solver(problem, panels, table, min(COARSER * tolerance, COARSEST)), problem, grid)
-    fine = _march(_Solver(problem, panels, table, tolerance), problem, grid, progress)
+    steps = min(tolerance, STEPS)
+    coarse = _march(_Solver(problem, panels, table, min(COARSER * steps, COARSE_STEPS)), problem, grid)
+    fine = _march(_Solver(problem, panels, table, steps), problem, grid, progress)
     if not len(fine.W):
         raise RunError(fine.status)
     both = min(len(coarse.W), len(fine.W))

@@ -12,6 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from hjprofile.problem import Problem
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Kinks, Profile, Steady
@@ -73,6 +74,18 @@ class ClosedForm:
             quad(lambda tau: float(self.K(tau, np.array([x]))[0]) - 1.0, a, b, epsabs=1e-12, epsrel=1e-12)[0]
             for a, b in pairwise(marks)
         )
+
+
+def closed_form(problem: Problem) -> ClosedForm | None:
+    """The exact solution of a problem whose data are one of those below; None for others."""
+    match problem.profile:
+        case Kinks(positions, amplitudes) if len(positions) == 1:
+            return travelling_kink(problem.law, float(amplitudes[0]), float(positions[0]))
+        case Steady(flux, float(kink)):
+            return kink_into_steady_slope(problem.law, flux, kink)
+        case Steady(flux):
+            return steady_slope(problem.law, flux)
+    return None
 
 
 def flat_slope(law: ErosionLaw) -> ClosedForm:

@@ -21,22 +21,23 @@ from hjprofile.solvers.run import Array
 Rate = Callable[[Array], Array]
 
 
+# Written for the increment d, so that what does not change does not change by rounding either
 def ssp_rk2(y: Array, rate: Rate, dt: float) -> Array:
     """Heun's method."""
-    y1 = y + dt * rate(y)
-    return 0.5 * (y + y1 + dt * rate(y1))
+    d = dt * rate(y)
+    return y + 0.5 * (d + dt * rate(y + d))
 
 
 def ssp_rk4(y: Array, rate: Rate, dt: float) -> Array:
     """Ketcheson's ten stages of fourth order (SIAM J. Sci. Comput. 30, 2008, algorithm 3)."""
-    y1 = y
-    for _ in range(5):
-        y1 = y1 + dt / 6.0 * rate(y1)
-    y2 = 0.04 * y + 0.36 * y1
-    y1 = 15.0 * y2 - 5.0 * y1
+    d = dt / 6.0 * rate(y)
     for _ in range(4):
-        y1 = y1 + dt / 6.0 * rate(y1)
-    return y2 + 0.6 * y1 + 0.1 * dt * rate(y1)
+        d += dt / 6.0 * rate(y + d)
+    half_way = 0.36 * d
+    d *= 0.4
+    for _ in range(4):
+        d += dt / 6.0 * rate(y + d)
+    return y + (half_way + 0.6 * d + 0.1 * dt * rate(y + d))
 
 
 class Order(NamedTuple):

@@ -124,12 +124,12 @@ def march(
     watch(present(t, speed))
     if kept[0] == 0.0:
         save()
-    dt, rise, close_until = 0.0, 0.0, 0.0
+    dt, rise, outgrown, close_until = 0.0, 0.0, 0.0, 0.0
     most = longest_leap = min(MOST_STEPS, max(1, int(grid.cells * MOST_WAY)))
     try:
         for target in np.unique(np.append(kept[kept > 0.0], problem.end if problem.end else [])):
             while t < target:
-                bound = speed * (1.0 + MARGIN + 1.5 * rise)
+                bound = max(speed * (1.0 + MARGIN + 1.5 * rise), outgrown * (1.0 + MARGIN))
                 dt = cfl * scheme.cfl_limit * grid.dx / bound
                 remaining = float(target) - t
                 needed = max(1, math.ceil(remaining / dt * (1.0 - 1e-12)))
@@ -145,7 +145,7 @@ def march(
                     if bound < met < np.inf and (cfl <= 1.0 or leap > 1):
                         scheme.restore()
                         if cfl <= 1.0:
-                            rise, speed = min(met / speed - 1.0, 1.0), met
+                            outgrown = met
                         else:  # no bound is promised; each step by the speed before it, to show what comes of it
                             most = max(1, leap // 4)
                         continue
@@ -163,7 +163,7 @@ def march(
                     close_until = state.t
                     scheme.restore()
                     continue
-                rise, speed, t = max(0.0, met / speed - 1.0), met, state.t
+                rise, speed, outgrown, t = min(max(met / speed - 1.0, 0.0), 1.0), met, 0.0, state.t
                 most = min(2 * most, longest_leap)
                 steps += leap
                 shortest, longest = min(shortest, dt), max(longest, dt)

@@ -74,9 +74,9 @@ def solve(problem: Problem, tolerance: float, grid: Grid | None = None, progress
     problem.check(grid := grid or problem.profile.grid())
     try:
         run = solve_characteristics(problem, grid, min(max(0.1 * tolerance, FINEST), COARSEST), progress)
-        if run.done:
+        if run.done and run.error_estimate is not None and run.error_estimate <= tolerance:
             return run
-        why = run.status
+        why = f"reach an error of about {run.error_estimate:.2g} only" if run.done else run.status
     except RunError as error:
         why = str(error)
     fronts = FRONTS[0]

@@ -49,7 +49,7 @@ def flat_ends(y, first, last, left, right, negligible):
 
 @vectorised
 def ghosts(padded):
-    """Fills GHOSTS cells beyond either end by quadratic extrapolation, no further out than the last three cells' range.
+    """Fills GHOSTS cells beyond either end by quadratic extrapolation, as far out as twice the last three cells' range.
 
     A bound is needed beside a kink; where q is smooth it is not met.
     """
@@ -58,7 +58,7 @@ def ghosts(padded):
         at, inwards = (GHOSTS, 1) if side == 0 else (n - GHOSTS - 1, -1)
         a, b, c = padded[at], padded[at + inwards], padded[at + 2 * inwards]
         low, high = min(a, b, c), max(a, b, c)
-        reach = high - low
+        reach = 2.0 * (high - low)
         for k in range(1, GHOSTS + 1):
             value = a + k * (a - b) + 0.5 * k * (k + 1) * (a - 2.0 * b + c)
             padded[at - k * inwards] = min(max(value, low - reach), high + reach)

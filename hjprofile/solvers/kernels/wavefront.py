@@ -112,7 +112,7 @@ def hj_pass(W, dx, dt, levels, inflow, law, flux):
     rows = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)  # f, f' and f at the mean, where they are read
     p = np.zeros(LANES)
     right[LANES - 1] = W[n]
-    grown = 0.0
+    grown = speed_met = 0.0
     for step in range(n + 2 * levels - 1):
         row[LANES] = W[max(n - step - 1, 0)]
         start, stop = LANES - 1 - step // 2, LANES - 1 - (step - n) // 2  # lanes at the right end, at the left end
@@ -124,6 +124,7 @@ def hj_pass(W, dx, dt, levels, inflow, law, flux):
         if at_left:
             height = right[stop] - dt * inflow
             grown += dt * (K[stop] - 1.0)
+            speed_met = max(speed_met, fastest[stop])
         if is_table(law):
             for l in range(LANES):
                 p[l] = 1.0 + (right[l] - row[l + 1]) * per_dx
@@ -149,7 +150,7 @@ def hj_pass(W, dx, dt, levels, inflow, law, flux):
         done = n - step + 2 * (levels - 1)
         if done <= n:
             W[done] = row[last]
-    return fastest[last:].max(), grown
+    return speed_met, grown
 
 
 @vectorised
@@ -175,7 +176,7 @@ def hancock_pass(q, dx, dt, levels, inflow, floor_share, law):
     edge, z, flux, fastest = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
     f, df, f_edge, df_edge, p = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
     here[LANES - 1] = q[n - 1]
-    grown = outflow = 0.0
+    grown = outflow = speed_met = 0.0
     for step in range(n + 3 * levels - 2):
         row[LANES] = q[max(n - step - 2, 0)]
         start = LANES - 1 - step // 3
@@ -190,6 +191,7 @@ def hancock_pass(q, dx, dt, levels, inflow, floor_share, law):
         if finishes:  # one cell further, where the first cell's new value is due
             value = ahead[beyond] - ratio * (flux[beyond] - inflow)
             grown += dt * (K[beyond] - 1.0)
+            speed_met = max(speed_met, fastest[beyond])
         if is_table(law):
             for l in range(LANES):
                 p[l] = 1.0 + here[l]
@@ -224,4 +226,4 @@ def hancock_pass(q, dx, dt, levels, inflow, floor_share, law):
         done = n - step + 3 * (levels - 1)
         if done < n:
             q[done] = row[last]
-    return fastest[last:].max(), grown, outflow
+    return speed_met, grown, outflow

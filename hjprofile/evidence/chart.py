@@ -1,0 +1,149 @@
+"""Accuracy against seconds: every method at several resolutions on one problem."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from hjprofile.errors import RunError
+from hjprofile.problem import Problem
+from hjprofile.problem.grid import Grid
+from hjprofile.solvers.characteristics import solve_characteristics
+from hjprofile.solvers.closed_forms import closed_form
+from hjprofile.solvers.fronts import track_fronts
+from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS, solve_conservative, solve_hj
+from hjprofile.solvers.run import Array, Run
+
+# Neighbouring grids, not doubled ones: an error jitters with the place of a kink inside its cell
+CELLS = tuple(int(n) for n in np.geomspace(250, 8000, 12).round())
+FRONTS = 100, 200, 400, 800, 1600, 3200
+TOLERANCES = 1e-7, 1e-9, 1e-11
+REFERENCE_FRONTS = 12800
+REPEATS = 3
+PATIENCE = 0.3  # seconds that a run may take before finer ones of its method are left out
+SNAPSHOTS = 5  # times over which the error of u is taken
+
+
+class Point(NamedTuple):
+    """A run on the chart. `cells` are the fronts of `fronts`, and for characteristics the cells they are read on."""
+
+    case: str
+    method: str
+    cells: int
+    error_u_sup: float
+    error_q_l1: float
+    seconds: float
+    steps: int
+
+
+class Reference(NamedTuple):
+    """What errors are measured against, and how far itself may be from the exact u."""
+
+    name: str
+    error: float
+    at: Callable[[Grid], tuple[Array, Array]]  # u at the snapshots, cell means of q at the end
+
+
+def chart(
+    case: str, problem: Problem, grid: Grid, cfl: float = 0.9, progress: Callable[[float], None] | None = None
+) -> tuple[list[Point], Reference]:
+    """Runs every method at several resolutions; each point has the median seconds of REPEATS runs.
+
+    Seconds are those of the time stepping alone, compilation and output apart. Errors are sup|u - exact u| over
+    SNAPSHOTS times and ∫|q - exact q| dx at the end. Methods that break down at a resolution are left out there.
+    Raises RunError if no method reaches the end.
+    """
+    problem = replace(problem, snapshots=np.linspace(0.0, problem.end, SNAPSHOTS).tolist() if problem.end else 1)
+    reference = _reference(problem, grid)
+    known: dict[int, tuple[Array, Array]] = {}
+    points: list[Point] = []
+    plan = list(_plan(problem, grid, cfl))
+    for i, (method, ladder) in enumerate(plan):
+        for cells, once in ladder:
+            try:
+                runs = [once() for _ in range(REPEATS)]
+            except RunError:
+                continue
+            run, seconds = runs[0], float(np.median([r.wall_seconds for r in runs]))
+            if run.done:
+                u, q = known.setdefault(run.cells, reference.at(Grid(grid.left, run.cells)))
+                u_sup = float(np.abs(run.u - u).max())
+                q_l1 = -grid.left / run.cells * float(np.abs(run.q[-1] - q).sum())
+                points.append(Point(case, method, cells, u_sup, q_l1, seconds, run.steps))
+            if progress:
+                progress((i + (cells / ladder[-1][0]) ** 2) / len(plan))
+            if seconds > PATIENCE:
+                break
+    if not points:
+        raise RunError(f"{case}: no method reaches the end; `hjprofile run {case}` says why")
+    return points, reference
+
+
+Ladder = Sequence[tuple[int, Callable[[], Run]]]
+
+
+def _plan(problem: Problem, grid: Grid, cfl: float) -> Iterator[tuple[str, Ladder]]:
+    """Every method with its resolutions: a number for the chart, and the run."""
+    for method in HJ_METHODS:
+        yield method, [(n, partial(solve_hj, problem, Grid(grid.left, n), method, cfl)) for n in CELLS]
+    for method in CONSERVATIVE_METHODS:
+        yield method, [(n, partial(solve_conservative, problem, Grid(grid.left, n), method, cfl)) for n in CELLS]
+    if not problem.profile.inflow:
+        yield "fronts", [(n, partial(track_fronts, problem, grid, n)) for n in FRONTS]
+        yield "characteristics", [(grid.cells, partial(solve_characteristics, problem, grid, e)) for e in TOLERANCES]
+
+
+def _reference(problem: Problem, grid: Grid) -> Reference:
+    """The closed form if the data have one, else characteristics, else fronts at their finest."""
+    exact = closed_form(problem)
+    times, end = problem.times, problem.times[-1]
+    if exact is not None:
+        return Reference(
+            "the closed form", 0.0,
+            lambda g: (np.array([exact.u(t, g.nodes) for t in times]), exact.q_means(end, g)),
+        )  # fmt: skip
+
+    def read(run: Run) -> tuple[Array, Array]:
+        return run.u, run.q[-1]
+
+    try:
+        run = solve_characteristics(problem, grid)
+        if run.done and run.error_estimate is not None:
+            return Reference(
+                "characteristics", run.error_estimate, lambda g: read(solve_characteristics(problem, g))
+            )  # fmt: skip
+    except RunError:
+        pass
+    finest, coarser = (track_fronts(problem, grid, n) for n in (REFERENCE_FRONTS, REFERENCE_FRONTS // 2))
+    error = float(np.abs(finest.u - coarser.u).max())
+    return Reference(
+        f"{REFERENCE_FRONTS} fronts", error, lambda g: read(track_fronts(problem, g, REFERENCE_FRONTS))
+    )  # fmt: skip
+
+
+def pareto(points: Sequence[Point]) -> list[Point]:
+    """The points that no other beats in seconds and in ∫|q - exact q| dx, from the fastest to the most accurate."""
+    front: list[Point] = []
+    for point in sorted(points, key=lambda p: (p.seconds, p.error_q_l1)):
+        if not front or point.error_q_l1 < front[-1].error_q_l1:
+            front.append(point)
+    return front
+
+
+def seconds_to(points: Sequence[Point], error: float) -> float:
+    """Seconds in which one method's points reach that ∫|q - exact q| dx.
+
+    From the line through its points in logarithms, without what rounding or the cost of a step as such distorts on
+    the smallest grids: only the finer half of the points counts. NaN for fewer than two.
+    """
+    sound = sorted((p for p in points if p.error_q_l1 > 0.0), key=lambda p: p.cells)
+    sound = sound[len(sound) // 2 :]
+    if len(sound) < 2:
+        return float("nan")
+    x, y = np.log([p.error_q_l1 for p in sound]), np.log([p.seconds for p in sound])
+    slope, offset = np.polyfit(x, y, 1)
+    return float(np.exp(offset + slope * np.log(error)))
