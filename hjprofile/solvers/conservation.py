@@ -127,7 +127,7 @@ class SecondOrder:
     def __init__(self, law: GridLaw, grid: Grid, q: Array, W_left: float, inflow: float):
         self.law, self.grid, self.inflow = law, grid, inflow
         self.q, self.before, self.W_left = q.copy(), q.copy(), W_left
-        self.K, self.exponent = np.ones(grid.cells + 1), np.zeros(grid.cells + 1)
+        self.K = np.ones(grid.cells + 1)
         self.growth = self.outflow = 0.0
         self.active = kernels.flat_ends(self.q, 0, grid.cells - 1, 0.0, 0.0, NEGLIGIBLE)  # the first and last q /= 0
 
@@ -139,9 +139,9 @@ class SecondOrder:
         if not np.min(self.q) > -1.0:
             raise Breakdown(self.q, self.K)
         self.law = self.law.covering(self.q)
-        kernels.exponent(self.law.f(self.q), self.grid.dx, self.exponent)
-        np.exp(self.exponent, out=self.K)
-        speed = float(np.max(np.maximum(self.K[:-1], self.K[1:]) * self.law.derivative(self.q)))
+        kernels.exponent(self.law.f(self.q), self.grid.dx, self.K)
+        np.exp(self.K, out=self.K)
+        speed = float(kernels.fastest(self.K, self.law.derivative(self.q)))
         if not 0.0 < speed < np.inf:
             raise Breakdown(self.q, self.K)
         return speed

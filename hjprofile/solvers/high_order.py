@@ -103,7 +103,7 @@ class HighOrder:
 
     def _speed(self, q: Array, edges: Array, K: Array) -> float:
         """The largest K f'. Raises Breakdown if there is none."""
-        speed = float(np.max(np.maximum(K[:-1], K[1:]) * self.law.derivative(np.minimum(q, edges[1:]))))
+        speed = float(kernels.fastest(K, self.law.derivative(np.minimum(q, edges[1:]))))
         if not 0.0 < speed < np.inf:
             raise Breakdown(q, K)
         return speed

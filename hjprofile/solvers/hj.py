@@ -52,7 +52,7 @@ class HamiltonJacobi:
         self.law = self.law.covering(self.q)
         kernels.exponent(self.law.f(self.q), self.grid.dx, self.K)
         np.exp(self.K, out=self.K)
-        speed = float(np.max(np.maximum(self.K[:-1], self.K[1:]) * self.law.derivative(self.q)))
+        speed = float(kernels.fastest(self.K, self.law.derivative(self.q)))
         if not 0.0 < speed < np.inf:
             raise Breakdown(self.q, self.K)
         return speed

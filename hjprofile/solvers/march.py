@@ -95,8 +95,9 @@ def march(
 
     Where `happened` says that something has since the last state, the steps in between are taken anew, few at a time.
     """
-    saved: list[tuple[float, Array, Array, Array]] = []
     kept = problem.times
+    columns = [np.empty((kept.size, *shape)) for shape in ((), (grid.cells + 1,), (grid.cells,), (grid.cells + 1,))]
+    saved = 0
     t, steps, seconds, status = 0.0, 0, 0.0, "done"
     shortest, longest = np.inf, 0.0
 
@@ -110,7 +111,12 @@ def march(
             progress(t / problem.end if problem.end else 1.0)
 
     def save() -> None:
-        saved.append((t, scheme.W.copy(), scheme.q.copy(), scheme.K.copy()))
+        nonlocal saved
+        for i, value in enumerate((t, scheme.W, scheme.q, scheme.K)):
+            if saved == kept.size:  # the last good state of a run that stopped after the last time that is kept
+                columns[i] = np.concatenate([columns[i], [value]])
+            columns[i][saved] = value
+        saved += 1
 
     try:
         speed = scheme.evaluate()
@@ -176,9 +182,9 @@ def march(
         speed = scheme.evaluate()
     except _StepTooSmall:
         status = _small_step_sentence(scheme, problem, grid, t, dt, speed)
-    if status != "done" and (not saved or saved[-1][0] < t):
+    if status != "done" and (not saved or columns[0][saved - 1] < t):
         save()
-    times, W, q, K = (np.array(column) for column in zip(*saved, strict=True))
+    times, W, q, K = (column[:saved] for column in columns)
     return Recording(times, W, q, K, status, steps, (float(shortest), float(longest)), seconds)
 
 

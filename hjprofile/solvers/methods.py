@@ -141,6 +141,8 @@ def _solve(scheme: Scheme, problem: Problem, grid: Grid, method: str, cfl: float
     tracker = KinkTracker(problem.law, grid)
     record = march(scheme, problem, grid, cfl, (bounds, tracker), progress, tracker.happened)
     kinks, events = tracker.result(record.times)
+    u = record.W
+    u += grid.nodes
     return Run(
         title=problem.title,
         method=method,
@@ -148,7 +150,7 @@ def _solve(scheme: Scheme, problem: Problem, grid: Grid, method: str, cfl: float
         time=record.times,
         x=grid.nodes,
         x_cell=grid.centres,
-        u=grid.nodes + record.W,
+        u=u,
         q=record.q,
         K=record.K,
         status=record.status,

@@ -1,0 +1,313 @@
+"""Measures all that docs/performance.md says, and writes it with its figures.
+
+    python tests/benchmarks/performance.py            # half an hour on two cores; wants the extra "peers"
+
+Ratios are of medians of runs that took turns.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import tracemalloc
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import bench_kernels
+import numpy as np
+import peers
+from rich.console import Console
+
+import hjprofile as hj
+from hjprofile.evidence.chart import Point, chart, seconds_to
+from hjprofile.output.plots import chart_picture
+from hjprofile.solvers.kernels import grid as grid_kernels
+from hjprofile.solvers.kernels.wavefront import LANES
+from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS
+
+DOCS = Path(__file__).parents[2] / "docs"
+SIZES = 1_000, 10_000, 100_000, 1_000_000
+PEER_CELLS = 500, 700, 1000, 1400, 2000, 2800, 4000
+say = Console(stderr=True).print
+
+BUMPS = hj.bumps([0.8, -0.3], [-5.0, -3.0], [1.0, 0.5])
+SCENES = {
+    "T1": (hj.Problem(hj.rational(), hj.kinks([-6.0], [1.0]), end=3.0), hj.Grid(-10.0, 2000)),
+    "T2": (hj.Problem(hj.rational(), BUMPS, end=2.0), hj.Grid(-10.0, 2000)),
+    "T2s": (hj.Problem(hj.rational(), BUMPS, end=0.5), hj.Grid(-10.0, 2000)),
+    "hillslope": (hj.load_case("hillslope").problem, hj.load_case("hillslope").grid),
+}
+
+
+def in_turns(runs: Mapping[str, Callable[[], object]], rounds: int = 9) -> dict[str, float]:
+    """Median seconds of each, after one run to warm up."""
+    seconds: dict[str, list[float]] = {name: [] for name in runs}
+    for n in range(rounds + 1):
+        for name, run in runs.items():
+            started = time.perf_counter()
+            run()
+            if n:
+                seconds[name].append(time.perf_counter() - started)
+    return {name: float(np.median(taken)) for name, taken in seconds.items()}
+
+
+def kernels() -> tuple[dict[str, dict[int, float]], str]:
+    """Nanoseconds per cell and step, by kernel and size; as a table."""
+    found: dict[str, dict[int, float]] = {name: {} for name in bench_kernels.KERNELS}
+    for cells in SIZES:
+        say(f"kernels on {cells} cells")
+        runs = {name: make(cells) for name, make in bench_kernels.KERNELS.items()}
+        for name, seconds in in_turns(runs, 9 if cells < 1e6 else 3).items():
+            found[name][cells] = 1e9 * seconds / (cells * LANES)
+    rows = [f"| {name} | " + " | ".join(f"{found[name][n]:.2f}" for n in SIZES) + " |" for name in found]
+    head = "| kernel | " + " | ".join(f"{n:,} cells" for n in SIZES) + " |\n|---|" + "---|" * len(SIZES)
+    return found, "\n".join([head, *rows])
+
+
+def ratios(found: dict[str, dict[int, float]]) -> str:
+    """What the table of kernels amounts to."""
+    rows = [
+        "| on 10,000 cells | times faster than the obvious loop | nonlocal to local (K = 1) | log law to rational |"
+    ]
+    rows.append("|---|---|---|---|")
+    for name in ("godunov", "local-lax-friedrichs", "conservative"):
+        mine, others = found[name][10_000], [found[f"{name}{k}"][10_000] for k in (", K = 1", ", log law")]
+        obvious = found[f"obvious {name}"][10_000]
+        rows.append(f"| {name} | {obvious / mine:.1f} | {mine / others[0]:.2f} | {others[1] / mine:.1f} |")
+    worst = max(max(f.values()) / min(f.values()) for n, f in found.items() if not n.startswith("obvious"))
+    rows.append(f"\nFrom 1,000 to 1,000,000 cells the cost per cell and step of a sweep varies by {worst:.2f} at most.")
+    return "\n".join(rows)
+
+
+def window() -> str:
+    """A scene whose waves fill a twentieth of the slope, with and without the window."""
+    narrow = hj.bumps([0.8, -0.3], [-6.0, -5.8], [0.03, 0.02])
+    problem = hj.Problem(hj.rational(), narrow, end=0.15, snapshots=2)
+    grid, sound = hj.Grid(-10.0, 20_000), grid_kernels.flat_ends
+
+    def everywhere(y, first, last, left, right, negligible):
+        sound(y, 0, y.size - 1, left, right, negligible)
+        return 0, y.size - 1
+
+    seconds: dict[str, list[float]] = {"part": [], "whole": []}
+    same = filled = 0.0
+    for _ in range(5):
+        part = hj.solve_hj(problem, grid)
+        grid_kernels.flat_ends = everywhere
+        whole = hj.solve_hj(problem, grid)
+        grid_kernels.flat_ends = sound
+        same = np.array_equal(part.u, whole.u)
+        filled = float(np.mean(np.abs(whole.q[-1]) > 1e-12))
+        seconds["part"].append(part.wall_seconds)
+        seconds["whole"].append(whole.wall_seconds)
+    share = np.median(seconds["part"]) / np.median(seconds["whole"])
+    verdict = "the same to the last bit" if same else "NOT THE SAME"
+    return (
+        f"Waves on {filled:.1%} of {grid.cells:,} cells take {share:.1%} of the time that the whole slope takes; "
+        f"the results are {verdict}."
+    )
+
+
+def memory() -> str:
+    """Peak memory of a run in arrays of its size, what is kept at the end included."""
+    problem = hj.Problem(hj.rational(), hj.kinks([-6.0], [1.0]), end=3e-4, snapshots=[3e-4])
+    cells = 1_000_000
+    hj.solve_hj(problem, hj.Grid(-10.0, 1000))  # imports and compiles
+    tracemalloc.start()
+    hj.solve_hj(problem, hj.Grid(-10.0, cells))
+    peak = tracemalloc.get_traced_memory()[1] / (8 * cells)
+    tracemalloc.stop()
+    return f"A run on {cells:,} cells with one saved time holds {peak:.1f} arrays of that size at most."
+
+
+def start_up() -> str:
+    """Whole processes: `hjprofile run travelling_kink` for the first time ever, and later."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "hjprofile", "run", "travelling_kink", "--out", folder]
+        environment = os.environ | {"NUMBA_CACHE_DIR": str(Path(folder, "cache"))}
+        seconds = []
+        for _ in range(6):
+            started = time.perf_counter()
+            subprocess.run(command, env=environment, check=True, capture_output=True)
+            seconds.append(time.perf_counter() - started)
+    return (
+        f"`hjprofile run travelling_kink`, the whole process with its pictures and VTK files: {seconds[0]:.1f} s when "
+        f"nothing has been compiled yet, {np.median(seconds[1:]):.1f} s from then on."
+    )
+
+
+def charts() -> tuple[dict[str, list[Point]], str]:
+    """The charts as figures; the fastest methods to given errors as a table."""
+    all_points, text = {}, []
+    for name, (problem, grid) in SCENES.items():
+        say(f"chart of {name}")
+        points, reference = chart(name, problem, grid)
+        all_points[name] = points
+        (DOCS / "figures" / f"performance_{name}.png").write_bytes(chart_picture({name: (points, reference)}))
+        text.append(f"### {name}\n\n![accuracy against seconds](figures/performance_{name}.png)\n")
+        known = f", which knows u to {reference.error:.0e}" if reference.error else ""
+        text.append(f"Against {reference.name}{known}. Seconds to ∫|q - exact q| dx, by the fit of each method:\n")
+        methods = dict.fromkeys(p.method for p in points)
+        text.append("| method | order of ∫ abs q | 1e-2 | 1e-3 | 1e-4 |\n|---|---|---|---|---|")
+        for method in methods:
+            if method == "characteristics":
+                continue
+            mine = [p for p in points if p.method == method]
+            order = hj.observed_order([p.cells for p in mine], [p.error_q_l1 for p in mine])
+            if max(p.error_q_l1 for p in mine) < 1e-10:
+                text.append(f"| {method} | exact | " + " | ".join(f"{mine[0].seconds:.2g}" for _ in range(3)) + " |")
+                continue
+            cells = [_seconds(mine, error) for error in (1e-2, 1e-3, 1e-4)]
+            text.append(f"| {method} | {order:.2f} | " + " | ".join(cells) + " |")
+        best = min((p for p in points if p.method == "characteristics"), key=lambda p: p.error_q_l1, default=None)
+        if best:
+            text.append(f"\nCharacteristics: {best.error_q_l1:.0e} in {best.seconds:.2g} s.")
+        text.append("")
+    return all_points, "\n".join(text)
+
+
+def _seconds(points: list[Point], error: float) -> str:
+    """With a star where no run came so far."""
+    star = "" if min(p.error_q_l1 for p in points) <= error else "*"
+    return f"{seconds_to(points, error):.2g}{star}"
+
+
+def against_peers() -> str:
+    """Seconds to an error on T1 and T2: three general packages, hjprofile's best grid method, and fronts, in turns."""
+    rows = ["| | T1: 1e-3 | T1: 1e-4 | T2: 1e-3 | T2: 1e-4 |", "|---|---|---|---|---|"]
+    times: dict[str, list[str]] = {}
+    best: dict[tuple[str, float], dict[str, float]] = {}
+    for scene in ("T1", "T2"):
+        problem, grid = SCENES[scene]
+        problem = replace(problem, snapshots=[problem.end])
+        data = peers.Scene(scene, grid.left, problem.end, lambda x, p=problem: p.profile.W(x, p.law))
+        points: dict[str, list[Point]] = {}
+        for cells in PEER_CELLS:
+            say(f"peers on {scene}, {cells} cells")
+            fine = hj.Grid(grid.left, cells)
+            exact = hj.solve_characteristics(problem, fine).q[-1]
+            runs: dict[str, Callable[[], tuple[np.ndarray, float]]] = {}
+            for name, peer in peers.PEERS.items():
+                run = peer.prepare(data, cells)
+                runs[name] = partial(_timed, run)
+            for method in (*HJ_METHODS, *CONSERVATIVE_METHODS):
+                if method.startswith("conservative-"):
+                    continue
+                solve = hj.solve_hj if method in HJ_METHODS else hj.solve_conservative
+                runs[f"hjprofile {method}"] = partial(_own, solve, problem, fine, method)
+            fronts = cells // 4  # a front's piece is an arc, not a constant: as many as a quarter of the cells
+            runs["hjprofile fronts"] = partial(_own, hj.track_fronts, problem, fine, fronts)
+            taken: dict[str, list[float]] = {name: [] for name in runs}
+            for _ in range(3):
+                for name, run in runs.items():
+                    q, seconds = run()
+                    taken[name].append(seconds)
+                    error = fine.dx * float(np.abs(q - exact).sum())
+                    if len(taken[name]) == 3:
+                        median = float(np.median(taken[name]))
+                        points.setdefault(name, []).append(Point(scene, name, cells, np.nan, error, median, 0))
+        for name, mine in points.items():
+            for error in (1e-3, 1e-4):
+                exact_there = max(p.error_q_l1 for p in mine) < 1e-10
+                seconds = mine[0].seconds if exact_there else seconds_to(mine, error)
+                best.setdefault((scene, error), {})[name] = seconds
+                star = "" if exact_there or min(p.error_q_l1 for p in mine) <= error else "*"
+                times.setdefault(name, []).append(f"{seconds:.2g}{star}")
+    rows += [f"| {name} | " + " | ".join(cells) + " |" for name, cells in times.items()]
+    lines = []
+    for (scene, error), seconds in best.items():
+        peer, ours, fronts = (
+            min((s, n) for n, s in seconds.items() if choose(n))
+            for choose in (
+                lambda n: not n.startswith("hjprofile"),
+                lambda n: n.startswith("hjprofile") and n != "hjprofile fronts",
+                lambda n: n == "hjprofile fronts",
+            )
+        )
+        lines.append(
+            f"- {scene} to {error:g}: `{ours[1].removeprefix('hjprofile ')}` is {peer[0] / ours[0]:.0f} times and "
+            f"`fronts` {peer[0] / fronts[0]:.0f} times faster than the best peer ({peer[1]}, {peer[0]:.2g} s)."
+        )
+    return "\n".join([*rows, "", *lines])
+
+
+def _timed(run: Callable[[], np.ndarray]) -> tuple[np.ndarray, float]:
+    started = time.perf_counter()
+    q = run()
+    return q, time.perf_counter() - started
+
+
+def _own(solve: Callable[..., hj.Run], *arguments) -> tuple[np.ndarray, float]:
+    run = solve(*arguments)
+    return run.q[-1], run.wall_seconds
+
+
+PAGE = """# Speed and accuracy, measured
+
+Everything on this page is measured and written by one command, charts included:
+
+```sh
+pip install -e '.[bench]' && python tests/benchmarks/performance.py
+```
+
+Times on other machines differ; ratios, of runs that took turns on one, differ less. Seconds are those of the time
+stepping alone, compilation and output apart. A star marks a time that is extrapolated. How the sweeps work is told in
+[kernels.md](kernels.md).
+
+## Kernels
+
+Nanoseconds per cell and time step. The obvious loop is compiled, too: a pass for fluxes with `exp` for K, and one for
+the update.
+
+{kernels}
+
+{ratios}
+
+{window}
+
+{memory}
+
+## Accuracy against seconds
+
+T1 is one travelling kink to t = 3 (the case `travelling_kink`), T2 two bumps to t = 2 (`breaking_bump`), by when two
+shocks have formed, T2s the same to t = 0.5, still smooth. First-order methods that carry a flux over to the other form
+(`conservative-...`) are plain numpy on purpose: they are there to be compared with.
+
+{charts}
+
+## Against general packages
+
+PyClaw, hj_reachability and py-pde, each set up as an expert would (`tests/benchmarks/peers.py`), on {peer_cells}
+cells, and seconds to an error in ∫|q - exact q| dx by the line through the finer half of the runs:
+
+{peers}
+
+## Start-up
+
+{start_up}
+"""
+
+
+def main() -> None:
+    found, table = kernels()
+    content = {
+        "kernels": table,
+        "ratios": ratios(found),
+        "window": window(),
+        "memory": memory(),
+        "start_up": start_up(),
+    }
+    content["peers"] = against_peers()
+    content["charts"] = charts()[1]
+    content["peer_cells"] = f"{PEER_CELLS[0]} to {PEER_CELLS[-1]}"
+    (DOCS / "performance.md").write_text(PAGE.format(**content), encoding="utf-8")
+    say(f"written to {DOCS / 'performance.md'}")
+
+
+if __name__ == "__main__":
+    main()
