@@ -89,10 +89,23 @@ def _png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), layout="constrained")
+def _figure(width: float, height: float, run: Run | None = None) -> Figure:
+    """With margins that suit the axes of a run: to find them out would cost as much as the drawing."""
+    figure = Figure(figsize=(width, height), layout=None if run else "constrained")
     FigureCanvasAgg(figure)
+    if run:
+        lines = 1 if run.done else 1 + len(_reason(run))
+        figure.subplots_adjust(
+            0.7 / width, 0.5 / height, 1.0 - 0.95 / width, 1.0 - (0.15 + 0.2 * lines) / height, 0.08, 0.08
+        )
     return figure
+
+
+def _bar_axes(figure: Figure) -> Axes:
+    """A place for a colour bar, as high as the axes."""
+    edges = figure.subplotpars
+    width = 0.16 / figure.get_figwidth()
+    return figure.add_axes((edges.right + 0.5 * width, edges.bottom, width, edges.top - edges.bottom))
 
 
 def _axes_units(run: Run) -> tuple[Array, Array, str, str]:
@@ -102,9 +115,13 @@ def _axes_units(run: Run) -> tuple[Array, Array, str, str]:
     return run.x, run.u, "x (in exchange lengths; the top is at 0)", "height u"
 
 
+def _reason(run: Run) -> list[str]:
+    return [] if run.done else textwrap.wrap(run.status, 110)
+
+
 def _titles(axes: Axes, run: Run) -> None:
     """The title and the method; below them, where a run stopped early, why."""
-    reason = [] if run.done else textwrap.wrap(run.status, 110)
+    reason = _reason(run)
     axes.set_title(run.title + "\n" * len(reason), loc="left", fontweight="bold")
     axes.set_title("\n".join([f"{run.method}, {run.cells} cells", *reason]), loc="right", fontsize=8, color="0.35")
 
@@ -118,7 +135,7 @@ def _span(run: Run) -> tuple[float, float]:
 def draw_profiles(run: Run) -> Figure:
     """The profile through time with its kinks; below it how far it has moved; below that the excess slope."""
     x, u, x_label, u_label = _axes_units(run)
-    figure = _figure(8.0, 8.4)
+    figure = _figure(8.0, 8.4, run)
     top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
     shown = np.unique(np.linspace(0, run.time.size - 1, LINES).round().astype(int))
     norm = Normalize(*_span(run))
@@ -149,9 +166,7 @@ def draw_profiles(run: Run) -> Figure:
     bottom.axhline(0, color="0.6", lw=0.6, zorder=0)
     bottom.set_xlabel(x_label)
     bottom.set_xlim(x[0], x[-1])
-    bar = figure.colorbar(
-        ScalarMappable(norm, colours.resampled(256)), ax=[top, middle, bottom], aspect=45, pad=0.01, fraction=0.03
-    )
+    bar = figure.colorbar(ScalarMappable(norm, colours.resampled(256)), cax=_bar_axes(figure))
     bar.set_label("t: mass of grains poured in")
     if run.time.size == 1:
         bar.set_ticks([float(run.time[0])])
@@ -161,7 +176,7 @@ def draw_profiles(run: Run) -> Figure:
 def draw_diagram(run: Run) -> Figure:
     """The excess slope over the (x, t) plane with the paths of the kinks and their births, merges and exits."""
     x, _, x_label, _ = _axes_units(run)
-    figure = _figure(8.0, 5.2)
+    figure = _figure(8.0, 5.2, run)
     axes = figure.subplots()
     low, high = float(run.q.min()), float(run.q.max())
     span = max(-low, high)
@@ -172,7 +187,7 @@ def draw_diagram(run: Run) -> Figure:
     first, last = _span(run)
     edges = np.concatenate([[first], 0.5 * (run.time[1:] + run.time[:-1]), [last]])
     sheet = axes.pcolormesh(x, edges, run.q, cmap="RdBu_r", norm=norm, rasterized=True)
-    bar = figure.colorbar(sheet, ax=axes, pad=0.01, label="excess slope q  (below 0: grains settle)")
+    bar = figure.colorbar(sheet, cax=_bar_axes(figure), label="excess slope q  (below 0: grains settle)")
     if low >= 0 or high <= 0:  # only the half of the scale that is there
         bar.ax.set_ylim(0.0 if low >= 0 else norm.vmin, norm.vmax if low >= 0 else 0.0)
     if run.time.size == 1:

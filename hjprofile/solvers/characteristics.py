@@ -13,8 +13,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.integrate import DOP853
-from scipy.optimize import brentq
 
 from hjprofile.errors import InputError, RunError
 from hjprofile.monitors.bounds import SnapshotBounds
@@ -115,6 +113,8 @@ class _Solver:
 
     def _try(self, h: float) -> tuple[Panels, float]:
         """The panels after a step h of the clock, and the error of the step as a part of the tolerance."""
+        from scipy.integrate import DOP853  # half a second of imports, which runs on a grid do without
+
         now, panels = self.now, self.now.panels
         off, off_top, tau = panels.off.copy(), panels.off_top.copy(), panels.tau.copy()
         new = np.empty(2 * panels.r.size + 2)
@@ -301,6 +301,8 @@ class _Solver:
             event = next(e for e in crossed if start[e] <= 0.0 and e[0] != "birth")
             return 0.0, self.now.panels, event, 0.0
 
+        from scipy.optimize import brentq
+
         def least(part: float) -> float:
             tried, error = self._try(part * h)
             if not np.isfinite(error):
@@ -429,6 +431,8 @@ def _march(solver: _Solver, problem: Problem, grid: Grid, progress: Callable[[fl
 
 def _table(problem: Problem, panels: Panels) -> LawTable:
     """The law over all that r may become: dead labels go beyond what is alive."""
+    from scipy.optimize import brentq
+
     most = float(panels.r.max() + np.ptp(panels.mesh.I))
     low, high = (
         np.expm1(brentq(lambda v, r: float(problem.law.R(np.expm1(v))) - r, -30.0, 60.0, args=(r,)))

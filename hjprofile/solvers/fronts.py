@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import DOP853
 
 from hjprofile.errors import InputError, RunError
 from hjprofile.monitors.bounds import SnapshotBounds
@@ -170,6 +169,8 @@ class _Tracker:
         """To the time `end`; merges, births and exits are noted."""
         arrays = self.x, self.jump, self.label, self.since, self.smooth
         if self.exact:
+            from scipy.integrate import DOP853
+
             self.n, logged = advance_exactly(
                 *arrays, self.n, self.t, end, self.data.r0, self.table,
                 DOP853.A, DOP853.B, DOP853.E3, DOP853.E5, TOLERANCE,
