@@ -257,11 +257,10 @@ def test_the_quadrature_of_K():
     x = np.linspace(-1.0, 0.0, 21)
     for degree, places in ((5, slice(2, -3)), (4, slice(0, None))):
         f = np.polynomial.Polynomial([0.3, -0.5, 0.2, 0.7, -0.4, 0.6][: degree + 1])
-        K, F = np.empty(21), np.empty(21)
-        kernels.nonlocal_flux(f(x), 0.05, True, K, F)
-        found = -np.diff(np.log(K))
+        E = np.empty(21)
+        kernels.exponent_from_nodes(f(x), 0.05, True, E)
+        found = -np.diff(E)
         assert np.abs(found - np.diff(f.integ()(x)))[places].max() <= 1e-15
-        assert np.array_equal(F, K * f(x))
 
 
 @pytest.mark.parametrize(("step", "order"), [(ssp_rk2, 2), (ssp_rk4, 4)])

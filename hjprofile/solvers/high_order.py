@@ -70,8 +70,8 @@ class HighOrder:
         self.growth = self.outflow = 0.0
         self.active = self._flat_ends(0, self.state.size - 1)
 
-    def _means(self, state: Array, q: Array) -> float:
-        """Fills the cell means and returns the least, NaN where they are no numbers."""
+    def _means(self, state: Array) -> Array:
+        """The cell means."""
         raise NotImplementedError
 
     def _rate(self, F: Array) -> Array:
@@ -83,8 +83,8 @@ class HighOrder:
         raise NotImplementedError
 
     def evaluate(self) -> float:
-        least = self._means(self.state, self.q)
-        if not least > -1.0:
+        self.q = self._means(self.state)
+        if not np.min(self.q) > -1.0:
             raise Breakdown(self.q, self.K)
         self.law = self.law.covering(self.q)
         return self._speed(self.q, self._fluxes(self.q, self.inflow, self.K)[1], self.K)
@@ -97,7 +97,9 @@ class HighOrder:
         kernels.ghosts(padded)
         edges, F = np.empty(q.size + 1), np.empty(q.size + 1)
         self.order.edges(padded, edges)
-        kernels.nonlocal_flux(self.law.law.f(edges), self.grid.dx, self.order.high_quadrature, K, F)
+        f = self.law.law.f(edges)
+        kernels.exponent_from_nodes(f, self.grid.dx, self.order.high_quadrature, K)
+        np.multiply(np.exp(K, out=K), f, out=F)
         F[0] = inflow
         return F, edges
 
@@ -118,11 +120,12 @@ class HighOrder:
         reach = kernels.GHOSTS * self.order.stages + 6  # what a step can touch, and six nodes for a quadrature
         a, b = max(self.active[0] - reach, 0), min(self.active[1] + 1 + reach, cells)
         inflow = self.inflow if a == 0 else 0.0
-        q, K = np.empty(b - a), np.ones(b - a + 1)
+        K = np.ones(b - a + 1)
         speeds: list[float] = []
 
         def rate(y: Array) -> Array:
-            if not self._means(y[:-2], q) > -1.0:
+            q = self._means(y[:-2])
+            if not np.min(q) > -1.0:
                 raise Breakdown(q, K)
             F, edges = self._fluxes(q, inflow, K)
             if not speeds:  # of states, not of stages

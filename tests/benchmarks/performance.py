@@ -1,6 +1,6 @@
 """Measures all that docs/performance.md says, and writes it with its figures.
 
-    python tests/benchmarks/performance.py            # half an hour on two cores; wants the extra "peers"
+    python tests/benchmarks/performance.py            # some ten minutes on two cores; wants the extra "bench"
 
 Ratios are of medians of runs that took turns.
 """

@@ -3,25 +3,11 @@
 Nodes carry index 0..N, cells 0..N-1; cell i lies between nodes i and i+1.
 """
 
-import math
 
 from hjprofile.solvers.kernels import compiled, vectorised
 
 FLOOR_SHARE = 0.5  # part of 1 + q by which an edge value may lie from its mean, which keeps q > -1
 GHOSTS = 3  # cells beyond either end that reconstructions may ask for
-
-
-@compiled
-def slopes(W, dx, q):
-    """q = W_x on the cells; returns the least, or NaN if any is not a number."""
-    least = math.inf
-    bad = 0
-    for i in range(q.size):
-        value = (W[i + 1] - W[i]) / dx
-        q[i] = value
-        least = min(least, value)
-        bad += value != value
-    return math.nan if bad else least
 
 
 @compiled
@@ -104,30 +90,24 @@ def edges_weno5(padded, edges):
         edges[i] = q + max(min(edge - q, most), -most)
 
 
-@compiled
-def nonlocal_flux(f, dx, high_order, K, F):
-    """K and F = K f at the nodes 0..N for f at the nodes.
+@vectorised
+def exponent_from_nodes(f, dx, high_order, E):
+    """∫_x^0 f dξ at the nodes 0..N for f at the nodes.
 
-    ∫ f over a cell by the trapezoidal rule, or by six nodes (sixth order; five at the ends).
+    Over a cell by the trapezoidal rule, or by six nodes (sixth order; five of them in the two cells at an end).
     """
     n = f.size - 1
-    K[n] = 1.0
-    E = 0.0
-    F[n] = f[n]
+    E[n] = 0.0
+    if high_order and n >= 6:
+        for i in range(2, n - 2):
+            inner, outer = f[i - 1] + f[i + 2], f[i - 2] + f[i + 3]
+            E[i] = (802.0 * (f[i] + f[i + 1]) - 93.0 * inner + 11.0 * outer) * (dx / 1440.0)
+        for k, inwards, first, second in ((0, 1, 0, 1), (n, -1, n - 1, n - 2)):
+            a, b, c, d, e = f[k], f[k + inwards], f[k + 2 * inwards], f[k + 3 * inwards], f[k + 4 * inwards]
+            E[first] = (251.0 * a + 646.0 * b - 264.0 * c + 106.0 * d - 19.0 * e) * (dx / 720.0)
+            E[second] = (-19.0 * a + 346.0 * b + 456.0 * c - 74.0 * d + 11.0 * e) * (dx / 720.0)
+    else:
+        for i in range(n):
+            E[i] = 0.5 * (f[i] + f[i + 1]) * dx
     for i in range(n - 1, -1, -1):
-        if not high_order or n < 6:
-            mean = 0.5 * (f[i] + f[i + 1])
-        elif 2 <= i <= n - 3:
-            mean = (
-                802.0 * (f[i] + f[i + 1]) - 93.0 * (f[i - 1] + f[i + 2]) + 11.0 * (f[i - 2] + f[i + 3])
-            ) / 1440.0  # fmt: skip
-        else:
-            out, k = (1, n) if i > 2 else (-1, 0)  # nodes k, k - out, ... from the end inwards
-            a, b, c, d, e = f[k], f[k - out], f[k - 2 * out], f[k - 3 * out], f[k - 4 * out]
-            if i == n - 1 or i == 0:
-                mean = (251.0 * a + 646.0 * b - 264.0 * c + 106.0 * d - 19.0 * e) / 720.0
-            else:
-                mean = (-19.0 * a + 346.0 * b + 456.0 * c - 74.0 * d + 11.0 * e) / 720.0
-        E += mean * dx
-        K[i] = math.exp(E)
-        F[i] = K[i] * f[i]
+        E[i] += E[i + 1]
