@@ -221,3 +221,13 @@ def test_panels():
     split = panels.split({2: 0.3, 5: -0.7})
     assert split.volume() == pytest.approx(panels.volume(), abs=1e-13)
     assert len(split.r) == len(panels.r) + 2 and np.all(np.diff(split.X.ravel()) >= -1e-15)
+
+
+@pytest.mark.parametrize("tolerance", [1e-1, 1e-3, 1e-4])
+def test_a_coarse_tolerance_is_kept_too(tolerance):
+    """T2 with its two births: steps as coarse as that would miss one, with an error of 0.3."""
+    problem = hj.Problem(hj.rational(), hj.bumps([0.8, -0.3], [-5.0, -3.0], [1.0, 0.5]), end=2.0, snapshots=5)
+    grid = hj.Grid(-10.0, 500)
+    run, exact = hj.solve(problem, tolerance, grid), hj.solve_characteristics(problem, grid)
+    assert run.method == "characteristics"
+    assert np.abs(run.u - exact.u).max() <= run.error_estimate <= tolerance

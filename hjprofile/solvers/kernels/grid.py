@@ -3,7 +3,6 @@
 Nodes carry index 0..N, cells 0..N-1; cell i lies between nodes i and i+1.
 """
 
-
 from hjprofile.solvers.kernels import compiled, vectorised
 
 FLOOR_SHARE = 0.5  # part of 1 + q by which an edge value may lie from its mean, which keeps q > -1

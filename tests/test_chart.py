@@ -1,0 +1,109 @@
+"""Accuracy against seconds: what is on the chart, against what, and what is read off it."""
+
+import csv
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import hjprofile as hj
+from hjprofile import cli
+from hjprofile.evidence import chart as charts
+from hjprofile.evidence.chart import Point, pareto, seconds_to
+from hjprofile.solvers.methods import METHODS
+
+KINK = hj.Problem(hj.rational(), hj.kinks([-2.0], [1.0]), end=0.5)
+SMOOTH = hj.Problem(hj.log(), hj.bumps([0.5], [-2.0], [0.3]), end=0.2)
+
+
+@pytest.fixture(autouse=True)
+def few_and_coarse(monkeypatch):
+    monkeypatch.setattr(charts, "CELLS", (60, 120, 240))
+    monkeypatch.setattr(charts, "FRONTS", (50, 100))
+    monkeypatch.setattr(charts, "TOLERANCES", (1e-7, 1e-10))
+
+
+def test_every_method_is_on_it():
+    points, reference = hj.chart("smooth", SMOOTH, hj.Grid(-4.0, 200))
+    assert {p.method for p in points} == set(METHODS) - {"auto"}
+    assert reference.name == "characteristics" and 0.0 < reference.error <= 1e-9
+    for method in {p.method for p in points}:
+        mine = [p for p in points if p.method == method]
+        assert len(mine) == {"fronts": 2, "characteristics": 2}.get(method, 3)
+        assert all(p.case == "smooth" and p.seconds > 0.0 and p.steps > 0 for p in mine)
+        if method != "characteristics":
+            assert mine[-1].error_q_l1 < 0.75 * mine[0].error_q_l1 and mine[-1].error_u_sup < mine[0].error_u_sup
+
+
+def test_errors_are_what_they_are_called():
+    """On the travelling kink, against its closed form; fronts and characteristics are exact there."""
+    points, reference = hj.chart("kink", KINK, hj.Grid(-3.0, 150))
+    assert (reference.name, reference.error) == ("the closed form", 0.0)
+    exact = charts.closed_form(KINK)
+    (godunov,) = [p for p in points if (p.method, p.cells) == ("godunov", 120)]
+    grid = hj.Grid(-3.0, 120)
+    times = np.linspace(0.0, 0.5, charts.SNAPSHOTS)
+    run = hj.solve_hj(hj.Problem(KINK.law, KINK.profile, end=0.5, snapshots=times.tolist()), grid, "godunov")
+    u = np.array([exact.u(t, grid.nodes) for t in times])
+    assert godunov.error_u_sup == pytest.approx(np.abs(run.u - u).max(), rel=1e-12)
+    assert godunov.error_q_l1 == pytest.approx(grid.dx * np.abs(run.q[-1] - exact.q_means(0.5, grid)).sum(), rel=1e-12)
+    assert max(p.error_u_sup for p in points if p.method in ("fronts", "characteristics")) <= 1e-8
+
+
+def test_a_flux_that_enters_leaves_fronts_out():
+    points, reference = hj.chart("steady", hj.Problem(hj.rational(), hj.steady(0.4), end=0.2), hj.Grid(-2.0, 100))
+    assert reference.name == "the closed form"
+    assert {p.method for p in points} == set(METHODS) - {"auto", "fronts", "characteristics"}
+
+
+def test_fronts_stand_in_for_characteristics(monkeypatch):
+    def refuses(*_):
+        raise hj.RunError("stopped")
+
+    monkeypatch.setattr(charts, "solve_characteristics", refuses)
+    monkeypatch.setattr(charts, "REFERENCE_FRONTS", 800)
+    points, reference = hj.chart("smooth", SMOOTH, hj.Grid(-4.0, 200))
+    assert reference.name == "800 fronts" and 0.0 < reference.error < 1e-4
+    assert "characteristics" not in {p.method for p in points}
+
+
+def point(seconds, error, cells=100):
+    return Point("c", "m", cells, error, error, seconds, 1)
+
+
+@given(st.lists(st.tuples(st.floats(1e-3, 1.0), st.floats(1e-6, 1.0)), min_size=1, max_size=30))
+def test_nothing_beats_the_pareto_front(pairs):
+    points = [point(*pair) for pair in pairs]
+    front = pareto(points)
+    for p in points:
+        beaten = any(f.seconds <= p.seconds and f.error_q_l1 <= p.error_q_l1 for f in front)
+        assert beaten
+    assert all(a.seconds <= b.seconds and a.error_q_l1 > b.error_q_l1 for a, b in itertools.pairwise(front))
+
+
+def test_seconds_to_an_error_follow_the_trend():
+    points = [point(1e-6 * n**2, 50.0 / n, n) for n in (100, 200, 400, 800, 1600, 3200)]
+    points[0] = points[0]._replace(seconds=1.0)  # overheads of the smallest grids do not count
+    assert seconds_to(points, 1e-2) == pytest.approx(1e-6 * 5000**2)
+    assert np.isnan(seconds_to(points[:1], 1e-2))
+
+
+def test_command(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["chart", "travelling_kink", "--out", "there"])
+    out, err = capsys.readouterr()
+    assert ended.value.code == 0 and err == ""
+    with open("there/chart.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert list(rows[0]) == ["case", "method", "cells", "error_u_sup", "error_q_l1", "seconds", "steps"]
+    assert {row["method"] for row in rows} == set(METHODS) - {"auto"}
+    assert all(float(row["error_q_l1"]) >= 0.0 and int(row["cells"]) > 0 for row in rows)
+    assert Path("there/chart.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    assert "against the closed form" in out and "  fronts " in out
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["chart"])
+    assert ended.value.code == 2 and "chart needs at least one CASE" in capsys.readouterr().err
