@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -14,6 +16,8 @@ import hjprofile
 from hjprofile.errors import InputError, RunError
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from hjprofile.evidence.consistency import Check
     from hjprofile.problem.case import Case
     from hjprofile.solvers.run import Run
@@ -62,19 +66,21 @@ def run(
     """
     from hjprofile.output.store import open_folder, write_run
     from hjprofile.problem.case import load_case
-    from hjprofile.solvers.methods import check_method, solve_case
 
     if tolerance is not None and method is None:
         method = "auto"
     solver = {"solver.method": method, "solver.cfl": cfl, "solver.tolerance": tolerance}
     asked = solver | {"domain.cells": cells, "time.end": end}
     loaded = load_case(case, {key: value for key, value in asked.items() if value is not None})
-    check_method(loaded)
     folder = out or Path("results") / loaded.name
-    open_folder(folder)
-    with _Progress("eroding") as progress:
-        result = solve_case(loaded, progress)
-    files = write_run(result, folder, loaded.vtk, loaded.plots)
+    with _helper(loaded.plots) as helper:
+        from hjprofile.solvers.methods import check_method, solve_case
+
+        check_method(loaded)
+        open_folder(folder)
+        with _Progress("eroding") as progress:
+            result = solve_case(loaded, progress)
+        files = write_run(result, folder, loaded.vtk, loaded.plots, helper)
     print(_account(result))
     print(f"  written     {folder}: {_listing(folder, files)}")
     if not result.done:
@@ -185,6 +191,30 @@ def cases() -> None:
     width = max(map(len, shipped), default=0)
     for name, path in shipped.items():
         print(f"{name:{width}}  {tomllib.loads(path.read_text(encoding='utf-8')).get('title', '')}")
+
+
+@contextmanager
+def _helper(wanted: bool) -> Iterator[Executor | None]:
+    """A process that draws pictures: it loads what that takes while this one solves. None where it would not help."""
+    import threading
+
+    alone = hasattr(os, "fork") and threading.active_count() == 1  # a fork beside other threads may hang
+    if not (wanted and alone and (os.cpu_count() or 1) > 1):
+        yield None
+        return
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor
+
+    with ProcessPoolExecutor(1, multiprocessing.get_context("fork"), _prepare) as helper:
+        helper.submit(int)  # so that it starts now
+        yield helper
+
+
+def _prepare() -> None:
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent has a sentence for it
+    import hjprofile.output.plots  # noqa: F401
 
 
 def _cases(names: tuple[str, ...], out: Path | None) -> tuple[Path, list[Case]]:

@@ -85,9 +85,10 @@ def test_nothing_beats_the_pareto_front(pairs):
 
 
 def test_seconds_to_an_error_follow_the_trend():
-    points = [point(1e-6 * n**2, 50.0 / n, n) for n in (100, 200, 400, 800, 1600, 3200)]
-    points[0] = points[0]._replace(seconds=1.0)  # overheads of the smallest grids do not count
-    assert seconds_to(points, 1e-2) == pytest.approx(1e-6 * 5000**2)
+    points = [point(1e-6 * n**1.5, 50.0 / n, n) for n in (100, 200, 400, 800, 1600, 3200)]
+    assert seconds_to(points, 0.1) == pytest.approx(1e-6 * 500**1.5)
+    assert seconds_to(points[::-1], 1e-2) == pytest.approx(1e-6 * 3200**1.5 * (5000 / 3200) ** 2)
+    assert seconds_to(points, 10.0) == pytest.approx(points[0].seconds)
     assert np.isnan(seconds_to(points[:1], 1e-2))
 
 

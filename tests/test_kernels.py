@@ -1,6 +1,9 @@
 """Sweeps over many time levels against obvious loops; tables of laws; reconstructions; the active window."""
 
 import math
+import os
+import subprocess
+import sys
 
 import numpy as np
 import oracles
@@ -273,3 +276,20 @@ def test_runge_kutta_orders(step, order):
             y = step(y, lambda y: y - y * y, 2.0 / n)
         errors.append(abs(float(y[0]) - 1.0 / (1.0 + 9.0 * math.exp(-2.0))))
     assert order - 0.1 <= hj.observed_order(counts, errors) <= order + 0.15
+
+
+def test_nothing_is_compiled_twice(tmp_path):
+    """A second process finds what the first has compiled, for a formula and for a table."""
+    script = (
+        "import hjprofile as hj\n"
+        "from hjprofile.solvers.kernels.wavefront import hj_pass\n"
+        "for law in (hj.rational(), hj.log(), hj.power(2.0), hj.expression('q/(1+q)')):\n"
+        "    hj.solve_hj(hj.Problem(law, hj.kinks([-1.0], [0.5]), end=0.1, snapshots=2), hj.Grid(-2.0, 50))\n"
+        "print(sum(hj_pass.stats.cache_hits.values()), sum(hj_pass.stats.cache_misses.values()))\n"
+    )
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    counts = [
+        subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
+        for _ in range(2)
+    ]
+    assert [c.stdout.split() for c in counts] == [["0", "2"], ["2", "0"]]

@@ -322,3 +322,21 @@ def test_a_disk_that_is_really_full(tmp_path):
     assert done.stderr.startswith("hjprofile: disk/out/profile.png: No space left on device")
     assert done.stderr.count("\n") == 1
     assert done.stdout.split() == ["mounted", "events.csv", "kinks.csv", "profile.nc"]
+
+
+class LostHelper:
+    """An executor whose process has died."""
+
+    def submit(self, function, *arguments):
+        from concurrent.futures import BrokenExecutor, Future
+
+        future = Future()
+        future.set_exception(BrokenExecutor("killed"))
+        return future
+
+
+def test_pictures_are_drawn_even_if_the_helper_is_lost(tmp_path):
+    problem = hjprofile.Problem(hjprofile.rational(), hjprofile.kinks([-1.0], [0.5]), end=0.1, snapshots=2)
+    run = hjprofile.solve_hj(problem, hjprofile.Grid(-2.0, 50))
+    files = hjprofile.write_run(run, tmp_path, vtk=False, helper=LostHelper())
+    assert {tmp_path / "profile.png", tmp_path / "diagram.png"} <= set(files)

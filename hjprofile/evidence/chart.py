@@ -135,15 +135,19 @@ def pareto(points: Sequence[Point]) -> list[Point]:
 
 
 def seconds_to(points: Sequence[Point], error: float) -> float:
-    """Seconds in which one method's points reach that ∫|q - exact q| dx.
+    """Seconds in which one method reaches that ∫|q - exact q| dx; NaN if its points show no order.
 
-    From the line through its points in logarithms, without what rounding or the cost of a step as such distorts on
-    the smallest grids: only the finer half of the points counts. NaN for fewer than two.
+    How many cells it takes follows from the line through all errors in logarithms, for single ones jitter; what they
+    cost from the points between which they lie. Beyond the finest point the cost grows like cells², as that of all
+    these methods does; below the coarsest it stays.
     """
-    sound = sorted((p for p in points if p.error_q_l1 > 0.0), key=lambda p: p.cells)
-    sound = sound[len(sound) // 2 :]
-    if len(sound) < 2:
+    points = sorted(points, key=lambda p: p.cells)
+    cells, errors, seconds = (np.array([p[i] for p in points], dtype=float) for i in (2, 4, 5))
+    if len(points) < 2 or not np.all(errors > 0.0):
         return float("nan")
-    x, y = np.log([p.error_q_l1 for p in sound]), np.log([p.seconds for p in sound])
-    slope, offset = np.polyfit(x, y, 1)
-    return float(np.exp(offset + slope * np.log(error)))
+    slope, offset = np.polyfit(np.log(cells), np.log(errors), 1)
+    if slope >= 0.0:
+        return float("nan")
+    needed = np.exp((np.log(error) - offset) / slope)
+    within = np.exp(np.interp(np.log(needed), np.log(cells), np.log(seconds)))
+    return float(within * max(needed / cells[-1], 1.0) ** 2)

@@ -105,7 +105,9 @@ def _bar_axes(figure: Figure) -> Axes:
     """A place for a colour bar, as high as the axes."""
     edges = figure.subplotpars
     width = 0.16 / figure.get_figwidth()
-    return figure.add_axes((edges.right + 0.5 * width, edges.bottom, width, edges.top - edges.bottom))
+    return figure.add_axes(
+        (edges.right + 0.5 * width, edges.bottom, width, edges.top - edges.bottom), label="<colorbar>"
+    )
 
 
 def _axes_units(run: Run) -> tuple[Array, Array, str, str]:

@@ -9,6 +9,7 @@ import os
 import tempfile
 import tomllib
 from collections.abc import Iterable
+from concurrent.futures import BrokenExecutor, Executor
 from pathlib import Path
 from typing import Any
 
@@ -59,8 +60,14 @@ def open_folder(folder: Path) -> Path:
         return folder
 
 
-def write_run(run: Run, folder: str | Path, vtk: bool = True, plots: bool = True) -> list[Path]:
-    """Writes the whole result folder and returns its files; files of an earlier run there are replaced."""
+def write_run(
+    run: Run, folder: str | Path, vtk: bool = True, plots: bool = True, helper: Executor | None = None
+) -> list[Path]:
+    """Writes the whole result folder and returns its files; files of an earlier run there are replaced.
+
+    A helper draws the pictures while the other files are made.
+    """
+    drawn = helper.submit(_pictures, run) if plots and helper else None
     files: dict[str, bytes | str] = {
         "profile.nc": netcdf(run),
         "kinks.csv": to_csv(KinkRecord._fields, run.kinks),
@@ -71,9 +78,10 @@ def write_run(run: Run, folder: str | Path, vtk: bool = True, plots: bool = True
 
         files |= {f"{VTK_FOLDER}/{name}": data for name, data in vtk_files(run).items()}
     if plots:
-        from hjprofile.output.plots import pictures
-
-        files |= pictures(run)
+        try:
+            files |= drawn.result() if drawn else _pictures(run)
+        except BrokenExecutor:
+            files |= _pictures(run)
     files["summary.json"] = to_json(summary(run))  # last: a folder with a summary is complete
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -85,6 +93,12 @@ def write_run(run: Run, folder: str | Path, vtk: bool = True, plots: bool = True
             if path.relative_to(folder).as_posix() not in files:
                 path.unlink()
     return [folder / name for name in files]
+
+
+def _pictures(run: Run) -> dict[str, bytes | str]:
+    from hjprofile.output.plots import pictures
+
+    return pictures(run)
 
 
 def netcdf(run: Run) -> bytes:
@@ -170,6 +184,7 @@ def to_json(content: Any) -> str:
 
 
 def to_csv(header: Iterable[str], rows: Iterable[tuple]) -> str:
+    """A table in which floats keep all their digits and None is an empty field."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(header)
