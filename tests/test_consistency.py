@@ -40,22 +40,25 @@ def mutated(kernel, *changes):
     return numba.njit(error_model="numpy")(names[kernel.py_func.__name__])
 
 
-# the rational law leaves `p` to others
-LATE_K = [
-    (" = 1.0, 0.0\n", " = 1.0, 0.0\n            p[start] = 0.0\n"),
-    ("K[l] *= growth(", "K[l] *= growth(p[l]); p[l] = ("),
-]
+def late_K(growth):
+    """K of the node before: the rational law leaves `p` to others."""
+    return [
+        (" = 1.0, 0.0\n", " = 1.0, 0.0\n            p[start] = 0.0\n"),
+        (f"K[l] *= {growth}(", f"K[l] *= {growth}(p[l]); p[l] = ("),
+    ]
+
+
 FAULTY_KERNELS = {
     "HJ: K without dx": ("hj_pass", ("growth(z)", "growth(z / dx)")),
     "HJ: K with the wrong sign": ("hj_pass", ("growth(z)", "growth(-z)")),
-    "HJ: K shifted by a cell": ("hj_pass", *LATE_K),
+    "HJ: K shifted by a cell": ("hj_pass", *late_K("growth")),
     "HJ: u_t with the wrong sign": ("hj_pass", ("here - ratio * F", "here + ratio * F")),
     "HJ: half the time step": ("hj_pass", ("here - ratio * F", "here - 0.5 * ratio * F")),
     "HJ: slope with the wrong dx": ("hj_pass", ("d = here - left", "d = 1.01 * (here - left)")),
-    "CL second order: K without dx": ("hancock_pass", ("growth(z[l])", "growth(z[l] / dx)")),
-    "CL second order: K with the wrong sign": ("hancock_pass", ("growth(z[l])", "growth(-z[l])")),
-    "CL second order: K from half of f": ("hancock_pass", ("growth(z[l])", "growth(0.5 * z[l])")),
-    "CL second order: K shifted by a cell": ("hancock_pass", *LATE_K),
+    "CL second order: K without dx": ("hancock_pass", ("fine_growth(z[l])", "fine_growth(z[l] / dx)")),
+    "CL second order: K with the wrong sign": ("hancock_pass", ("fine_growth(z[l])", "fine_growth(-z[l])")),
+    "CL second order: K from half of f": ("hancock_pass", ("fine_growth(z[l])", "fine_growth(0.5 * z[l])")),
+    "CL second order: K shifted by a cell": ("hancock_pass", *late_K("fine_growth")),
     "CL second order: K of the step's start": ("hancock_pass", ("z_here + df_here * rise * dx", "z_here")),
     "CL second order: flux of the step's start": ("hancock_pass", ("half + rise", "half")),
     "CL second order: slope to the wrong side": ("hancock_pass", ("half + rise", "rise - half")),

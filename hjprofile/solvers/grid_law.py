@@ -1,8 +1,7 @@
 """A law as the grid solvers use it: the rational law by its formula, any other as a table made once per run.
 
 A table costs the same for every law, needs no compilation, and is made of the values of f, so that it cannot outlive
-an edited law. It is exact to about 1e-11 of the scale of f where f is three times
-differentiable.
+an edited law. It is exact to about 1e-11 of the scale of f where f is three times differentiable.
 """
 
 from __future__ import annotations

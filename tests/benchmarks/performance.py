@@ -295,6 +295,7 @@ method, what they cost by the runs on either side. Beyond the finest run (a star
 
 
 def main() -> None:
+    os.chdir(tempfile.gettempdir())  # PyClaw leaves a log where it is imported
     found, table = kernels()
     content = {
         "kernels": table,
