@@ -32,8 +32,8 @@ ROUNDING = 1e-10
 ORDER_Q = 0.25
 ORDER_U = 0.5
 # The second-order solver's distance from the exact solution as a part of Godunov's on the same grid: measured 0.005 to
-# 0.06 beside kinks (0.11 in short runs from sharp data), 0.08 to 0.3 in the fans that open at downward jumps. One
-# that has become first order shows 2.3 for a K shifted by a cell, 0.2 for a K that is a stage old.
+# 0.06 beside kinks (0.11 in short runs from sharp data), in the fans that open at downward jumps 0.12 to 0.22 (random
+# steps) and 0.41 (hillslope). One that has become first order shows 2.3 for a K shifted by a cell.
 SHARE, SHARE_WITH_FANS = 0.18, 0.5
 ORDER_CONSERVATIVE = 1.4
 WITNESS = 1e-9  # tolerance of characteristics: far below the error of any grid here
