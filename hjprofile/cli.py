@@ -205,15 +205,22 @@ def _helper(wanted: bool) -> Iterator[Executor | None]:
     import multiprocessing
     from concurrent.futures import ProcessPoolExecutor
 
-    with ProcessPoolExecutor(1, multiprocessing.get_context("fork"), _prepare) as helper:
+    with ProcessPoolExecutor(1, multiprocessing.get_context("fork"), _prepare, (os.getpid(),)) as helper:
         helper.submit(int)  # so that it starts now
         yield helper
 
 
-def _prepare() -> None:
+def _prepare(parent: int) -> None:
     import signal
+    import threading
+
+    def leave_with_parent() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)  # it was killed: nobody else would tell
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent has a sentence for it
+    threading.Thread(target=leave_with_parent, daemon=True).start()
     import hjprofile.output.plots  # noqa: F401
 
 

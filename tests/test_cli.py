@@ -4,8 +4,10 @@ import dataclasses
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
+import time
 import tomllib
 from pathlib import Path
 
@@ -351,3 +353,41 @@ def test_help_is_quick(arguments):
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.stdout.splitlines()[-1] == "[]"
+
+
+def children_of(pid):
+    try:
+        return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    except OSError:
+        return []
+
+
+def alive(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.skipif(
+    not Path("/proc/self/task").is_dir() or (os.cpu_count() or 1) < 2, reason="needs /proc and two processors"
+)
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_the_helper_does_not_outlive_the_run(folder, how):
+    """An interrupt at a terminal reaches both processes; a kill only the first."""
+    write_case(folder, "long", time={"end": 4.0, "snapshots": 3}, domain={"left": -10.0, "cells": 100_000})
+    command = [sys.executable, "-m", "hjprofile", "run", "long.toml"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True) as running:
+        deadline = time.monotonic() + 60.0
+        while not (helpers := children_of(running.pid)) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert helpers
+        time.sleep(1.0)
+        (os.killpg if how == signal.SIGINT else os.kill)(running.pid, how)
+        _, err = running.communicate(timeout=60)
+    if how == signal.SIGINT:
+        assert (running.returncode, err.decode()) == (1, "hjprofile: interrupted; nothing was left half-written\n")
+    while any(map(alive, helpers)) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not any(map(alive, helpers))
+    assert not list(folder.rglob("summary.json"))
