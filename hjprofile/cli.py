@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 import time
@@ -310,6 +311,8 @@ class _Progress:
 
 def main(arguments: list[str] | None = None) -> NoReturn:
     """Runs a command; 0 done, 1 the run or a check failed, 2 wrong usage or bad input. Never a traceback for these."""
+    if arguments is None:  # a process of its own, whose imports would be searched for garbage again and again
+        gc.disable()
     try:
         app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
         sys.stdout.flush()

@@ -9,7 +9,7 @@ import os
 import tempfile
 import tomllib
 from collections.abc import Iterable
-from concurrent.futures import BrokenExecutor, Executor
+from concurrent.futures import BrokenExecutor, Executor, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -86,8 +86,11 @@ def write_run(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "summary.json").unlink(missing_ok=True)
-    for name, data in files.items():
-        write_whole(folder / name, data)
+    *first, last = files.items()
+    with ThreadPoolExecutor(8) as pool:  # some seventy files, each of which waits for the disk
+        for _ in pool.map(lambda file: write_whole(folder / file[0], file[1]), first):
+            pass
+    write_whole(folder / last[0], last[1])
     for pattern in _STALE:
         for path in folder.glob(pattern):
             if path.relative_to(folder).as_posix() not in files:
