@@ -70,6 +70,11 @@ def test_fronts_stand_in_for_characteristics(monkeypatch):
     assert "characteristics" not in {p.method for p in points}
 
 
+def test_a_chart_needs_time_to_pass():
+    with pytest.raises(hj.InputError, match=r"still: end = 0; a chart needs an end above 0"):
+        hj.chart("still", hj.Problem(hj.rational(), hj.kinks([-2.0], [1.0]), end=0.0), hj.Grid(-3.0, 100))
+
+
 def point(seconds, error, cells=100):
     return Point("c", "m", cells, error, error, seconds, 1)
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hjprofile.errors import RunError
+from hjprofile.errors import InputError, RunError
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.characteristics import solve_characteristics
@@ -55,9 +55,13 @@ def chart(
 
     Seconds are those of the time stepping alone, compilation and output apart. Errors are sup|u - exact u| over
     SNAPSHOTS times and ∫|q - exact q| dx at the end. Methods that break down at a resolution are left out there.
-    Raises RunError if no method reaches the end.
+    Raises InputError if no time passes, and RunError if no method reaches the end.
     """
-    problem = replace(problem, snapshots=np.linspace(0.0, problem.end, SNAPSHOTS).tolist() if problem.end else 1)
+    if not problem.end > 0.0:
+        raise InputError(
+            f"{case}: end = {problem.end:g}; a chart needs an end above 0, for it times what happens until then"
+        )
+    problem = replace(problem, snapshots=np.linspace(0.0, problem.end, SNAPSHOTS).tolist())
     reference = _reference(problem, grid)
     known: dict[int, tuple[Array, Array]] = {}
     points: list[Point] = []

@@ -59,14 +59,14 @@ class Scheme(Protocol):
 
 
 class Breakdown(Exception):
-    """The state is no longer admissible. Carries the cell and q there."""
+    """The state is no longer admissible. Carries the cell, q there, and K as it was there last."""
 
     def __init__(self, q: Array, K: Array):
         bad = ~(np.isfinite(q) & (q > -1.0))
         # K is summed from the right, so the rightmost bad cell is the first to blame
         elsewhere = np.argmin(q) if np.isfinite(K).all() else np.argmin(np.isfinite(K))
         self.cell = int(np.flatnonzero(bad)[-1]) if bad.any() else int(elsewhere)
-        self.q = float(q[self.cell])
+        self.q, self.K = float(q[self.cell]), float(K[self.cell + 1])
 
 
 class _StepTooSmall(Exception):
@@ -202,4 +202,5 @@ def _breakdown_sentence(broken: Breakdown, grid: Grid, t: float, dt: float, cfl:
     x = grid.centres[broken.cell]
     what = f"q = {broken.q:.6g} reached -1" if np.isfinite(broken.q) else "q stopped being finite"
     remedy = "set cfl to 1 or less" if cfl > 1 else "use a monotone method (godunov), or a smaller cfl"
-    return f"stopped at t = {t:.6g} near x = {x:.6g}: {what} in a step of {dt:.3g} (cfl = {cfl:g}); {remedy}"
+    step = f"in a step of {dt:.3g} (cfl = {cfl:g}, K = {broken.K:.3g} there)"
+    return f"stopped at t = {t:.6g} near x = {x:.6g}: {what} {step}; {remedy}"
