@@ -116,8 +116,8 @@ def test_the_grid_solvers_converge_to_fronts(name):
     """14 grids of 500 to 4000 cells against 6400 fronts; table in theory §5.
 
     In L1(u) Godunov's scheme shows 0.99 or more, but 0.85 on `deposit` and 0.93 on the hillslope: at a fan its error
-    is dx ln(1/dx). In L1(q) the place of a kink in its cell makes the error jitter: that of the second-order scheme, which
-    spreads a kink over one or two cells, up to sixteenfold, and its order by 0.5 (0.55 to 1.38).
+    is dx ln(1/dx). In L1(q) the place of a kink in its cell makes the error jitter: that of the second-order scheme,
+    which spreads a kink over one or two cells, up to sixteenfold, and its order by 0.5 (0.55 to 1.38).
     """
     case = hj.load_case(name)
     problem = replace(case.problem, snapshots=2)
