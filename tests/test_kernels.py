@@ -61,9 +61,7 @@ def test_a_second_order_sweep_is_as_many_single_steps(data, law, levels):
     for _ in range(levels):
         plain, foot, top = oracles.muscl_hancock(plain, law, dx, dt, kernels.FLOOR_SHARE)
         grown, outflow = grown + dt * (foot - 1.0), outflow + dt * top
-    _, found_grown, found_outflow = wavefront.hancock_pass(
-        swept, dx, dt, levels, 0.0, kernels.FLOOR_SHARE, table.kernel
-    )
+    _, found_grown, found_outflow = wavefront.hancock_pass(swept, dx, dt, levels, 0.0, table.kernel)
     # rounding; with a table f to 1e-10 of its size and, in the step to the half time, f' to 1e-6, dt times
     allowed = 1e-11 if law.name == "rational" else 1e-5
     assert np.abs(swept - plain).max() <= allowed * (1.0 + np.abs(plain).max())
@@ -111,12 +109,15 @@ def test_a_table_grows_with_the_slopes():
 
 
 def test_a_run_goes_on_where_slopes_outgrow_the_table(monkeypatch):
-    """q = 30 behind a kink of a log law, with a table that ends just above the data."""
-    problem = hj.Problem(hj.log(), hj.kinks([-1.0], [0.4]), end=0.2, snapshots=2)
-    grid = hj.Grid(-1.5, 300)
+    """q grows from 0.9 to 12, and the table ends at 3 at first."""
+    problem = hj.Problem(hj.log(), hj.steps([-6.0, -0.5], [0.9]), end=1.5, snapshots=2)
+    grid = hj.Grid(-6.5, 400)
     wide = hj.solve_hj(problem, grid)
     monkeypatch.setattr("hjprofile.solvers.grid_law.HEADROOM", 1)
+    assert wide.q.max() > 10.0 and grid_law(hj.log(), wide.q[0]).q_most == 3.0
     assert np.abs(hj.solve_hj(problem, grid).u - wide.u).max() <= 1e-13
+    monkeypatch.setattr("hjprofile.solvers.grid_law.GridLaw.covering", lambda law, q: law)
+    assert np.abs(hj.solve_hj(problem, grid).u - wide.u).max() > 0.1  # so that the test can fail
 
 
 def test_the_law_that_is_edited_is_the_law_that_runs(tmp_path):

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from concurrent.futures import BrokenExecutor, Future
 from functools import lru_cache
 from pathlib import Path
 
@@ -331,16 +332,20 @@ def test_a_disk_that_is_really_full(tmp_path):
 class LostHelper:
     """An executor whose process has died."""
 
-    def submit(self, function, *arguments):
-        from concurrent.futures import BrokenExecutor, Future
+    def __init__(self, at_once):
+        self.at_once = at_once
 
+    def submit(self, function, *arguments):
+        if self.at_once:
+            raise BrokenExecutor("killed")
         future = Future()
         future.set_exception(BrokenExecutor("killed"))
         return future
 
 
-def test_pictures_are_drawn_even_if_the_helper_is_lost(tmp_path):
+@pytest.mark.parametrize("at_once", [False, True])
+def test_pictures_are_drawn_even_if_the_helper_is_lost(tmp_path, at_once):
     problem = hjprofile.Problem(hjprofile.rational(), hjprofile.kinks([-1.0], [0.5]), end=0.1, snapshots=2)
     run = hjprofile.solve_hj(problem, hjprofile.Grid(-2.0, 50))
-    files = hjprofile.write_run(run, tmp_path, vtk=False, helper=LostHelper())
+    files = hjprofile.write_run(run, tmp_path, vtk=False, helper=LostHelper(at_once))
     assert {tmp_path / "profile.png", tmp_path / "diagram.png"} <= set(files)

@@ -74,7 +74,9 @@ def chart(
                 continue
             run, seconds = runs[0], float(np.median([r.wall_seconds for r in runs]))
             if run.done:
-                u, q = known.setdefault(run.cells, reference.at(Grid(grid.left, run.cells)))
+                if run.cells not in known:
+                    known[run.cells] = reference.at(Grid(grid.left, run.cells))
+                u, q = known[run.cells]
                 u_sup = float(np.abs(run.u - u).max())
                 q_l1 = -grid.left / run.cells * float(np.abs(run.q[-1] - q).sum())
                 points.append(Point(case, method, cells, u_sup, q_l1, seconds, run.steps))

@@ -10,6 +10,7 @@ import tempfile
 import tomllib
 from collections.abc import Iterable
 from concurrent.futures import BrokenExecutor, Executor, ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +68,10 @@ def write_run(
 
     A helper draws the pictures while the other files are made.
     """
-    drawn = helper.submit(_pictures, run) if plots and helper else None
+    drawn = None
+    if plots and helper:
+        with suppress(BrokenExecutor):  # whoever is lost is done without
+            drawn = helper.submit(_pictures, run)
     files: dict[str, bytes | str] = {
         "profile.nc": netcdf(run),
         "kinks.csv": to_csv(KinkRecord._fields, run.kinks),

@@ -151,9 +151,7 @@ class SecondOrder:
         self.kept = a, b, self.active, self.W_left, self.growth, self.outflow
         self.before[a:b] = self.q[a:b]
         inflow = self.inflow if a == 0 else 0.0
-        speed, grown, outflow = wavefront.hancock_pass(
-            self.q[a:b], self.grid.dx, dt, steps, inflow, kernels.FLOOR_SHARE, self.law.kernel
-        )
+        speed, grown, outflow = wavefront.hancock_pass(self.q[a:b], self.grid.dx, dt, steps, inflow, self.law.kernel)
         self.W_left -= dt * steps * inflow
         self.growth += grown
         self.outflow += outflow

@@ -82,9 +82,6 @@ class HamiltonJacobi:
 class HighOrderHamiltonJacobi(HighOrder):
     """W_t = -F with F = K f(q⁻) and q⁻ reconstructed from the difference quotients of W."""
 
-    def __init__(self, law: GridLaw, grid: Grid, W: Array, order: str, inflow: float):
-        super().__init__(law, grid, W, order, inflow)
-
     @property
     def W(self) -> Array:
         return self.state

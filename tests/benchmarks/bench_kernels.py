@@ -9,7 +9,6 @@ import pytest
 
 import hjprofile as hj
 from hjprofile.solvers.grid_law import grid_law
-from hjprofile.solvers.kernels.grid import FLOOR_SHARE
 from hjprofile.solvers.kernels.wavefront import (
     LANES,
     Godunov,
@@ -43,7 +42,7 @@ def sweep(kernel, flux, law):
 def second_order_sweep(kernel, law):
     def steps(cells):
         _, q, dx, dt = kink(cells)
-        return lambda: kernel(q.copy(), dx, dt, LEVELS, 0.0, FLOOR_SHARE, law)
+        return lambda: kernel(q.copy(), dx, dt, LEVELS, 0.0, law)
 
     return steps
 

@@ -71,7 +71,7 @@ def edges_eno2(padded, edges):
 
 @vectorised
 def edges_weno5(padded, edges):
-    """q on the left of the nodes 0..N by WENO5 (Jiang and Shu, with the weights' map of Henrick et al.)."""
+    """q on the left of the nodes 0..N by WENO-Z of fifth order (Borges and others, J. Comput. Phys. 227, 2008)."""
     for i in range(edges.size):
         a, b, q, c, d = padded[i], padded[i + 1], padded[i + 2], padded[i + 3], padded[i + 4]
         q0 = (2.0 * a - 7.0 * b + 11.0 * q) / 6.0
@@ -80,7 +80,7 @@ def edges_weno5(padded, edges):
         s0 = 13.0 / 12.0 * (a - 2.0 * b + q) ** 2 + 0.25 * (a - 4.0 * b + 3.0 * q) ** 2
         s1 = 13.0 / 12.0 * (b - 2.0 * q + c) ** 2 + 0.25 * (b - c) ** 2
         s2 = 13.0 / 12.0 * (q - 2.0 * c + d) ** 2 + 0.25 * (3.0 * q - 4.0 * c + d) ** 2
-        t = abs(s0 - s2)  # WENO-Z: of fifth order at smooth extrema too
+        t = abs(s0 - s2)
         w0 = 0.1 * (1.0 + (t / (s0 + 1e-40)) ** 2)
         w1 = 0.6 * (1.0 + (t / (s1 + 1e-40)) ** 2)
         w2 = 0.3 * (1.0 + (t / (s2 + 1e-40)) ** 2)

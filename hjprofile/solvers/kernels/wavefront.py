@@ -17,6 +17,7 @@ from numba.extending import overload
 
 from hjprofile.solvers.kernels import vectorised
 from hjprofile.solvers.kernels.erosion import LANES, eroded, eroded_with_mean, is_table, read, read_f
+from hjprofile.solvers.kernels.grid import FLOOR_SHARE
 
 
 class LocalLaxFriedrichs(NamedTuple):
@@ -168,12 +169,12 @@ def limited(back, ahead):
 
 
 @vectorised
-def hancock_pass(q, dx, dt, levels, inflow, floor_share, law):
+def hancock_pass(q, dx, dt, levels, inflow, law):
     """Advances cell means q (from left to right) by `levels` <= LANES MUSCL-Hancock steps, in place.
 
     A step takes q and K half a step ahead by q_t = K f² - K f' q_x and the flux from there, with K by the midpoint
     rule. At either end of the grid slopes are one-sided; the flux is `inflow` at the left end. No edge value lies
-    further than `floor_share` of 1 + q from its mean, which keeps q > -1. Returns the largest K f' of all steps,
+    further than FLOOR_SHARE of 1 + q from its mean, which keeps q > -1. Returns the largest K f' of all steps,
     ∫(K(left) - 1) dt and ∫F(right) dt.
     """
     n = q.size
@@ -206,7 +207,7 @@ def hancock_pass(q, dx, dt, levels, inflow, floor_share, law):
         for l in range(LANES):
             f_here, df_here = eroded(l, here[l], 1.0, law, f, df)
             half = limited(here[l] - row[l + 1], ahead[l] - here[l])
-            most = floor_share * (1.0 + here[l])
+            most = FLOOR_SHARE * (1.0 + here[l])
             half = max(min(half, most), -most)
             z_here = f_here * dx
             rise = K[l] * (1.0 + 0.5 * z_here) * (0.5 * ratio * f_here * z_here - ratio * df_here * half)
