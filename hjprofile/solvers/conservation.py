@@ -20,6 +20,7 @@ from hjprofile.solvers.high_order import HighOrder
 from hjprofile.solvers.kernels import grid as kernels
 from hjprofile.solvers.kernels import wavefront
 from hjprofile.solvers.march import NEGLIGIBLE, Breakdown
+from hjprofile.solvers.nonlocal_factor import fill_factor
 from hjprofile.solvers.run import Array
 
 
@@ -136,14 +137,7 @@ class SecondOrder:
         return _heights(self.q, self.grid.dx, self.W_left)
 
     def evaluate(self) -> float:
-        if not np.min(self.q) > -1.0:
-            raise Breakdown(self.q, self.K)
-        self.law = self.law.covering(self.q)
-        kernels.exponent(self.law.f(self.q), self.grid.dx, self.K)
-        np.exp(self.K, out=self.K)
-        speed = float(kernels.fastest(self.K, self.law.derivative(self.q)))
-        if not 0.0 < speed < np.inf:
-            raise Breakdown(self.q, self.K)
+        self.law, speed = fill_factor(self.law, self.q, self.grid.dx, self.K)
         return speed
 
     def advance(self, dt: float, steps: int, bound: float) -> float:

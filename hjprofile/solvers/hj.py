@@ -17,7 +17,8 @@ from hjprofile.solvers.grid_law import GridLaw, grid_law
 from hjprofile.solvers.high_order import ORDERS, HighOrder
 from hjprofile.solvers.kernels import grid as kernels
 from hjprofile.solvers.kernels import wavefront
-from hjprofile.solvers.march import NEGLIGIBLE, Breakdown
+from hjprofile.solvers.march import NEGLIGIBLE
+from hjprofile.solvers.nonlocal_factor import fill_factor
 from hjprofile.solvers.run import Array
 
 Flux = wavefront.LocalLaxFriedrichs | wavefront.LaxFriedrichs | wavefront.Godunov | wavefront.Telescoping
@@ -47,14 +48,7 @@ class HamiltonJacobi:
 
     def evaluate(self) -> float:
         np.divide(np.diff(self.W), self.grid.dx, out=self.q)
-        if not np.min(self.q) > -1.0:  # nor NaN
-            raise Breakdown(self.q, self.K)
-        self.law = self.law.covering(self.q)
-        kernels.exponent(self.law.f(self.q), self.grid.dx, self.K)
-        np.exp(self.K, out=self.K)
-        speed = float(kernels.fastest(self.K, self.law.derivative(self.q)))
-        if not 0.0 < speed < np.inf:
-            raise Breakdown(self.q, self.K)
+        self.law, speed = fill_factor(self.law, self.q, self.grid.dx, self.K)
         return speed
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
