@@ -329,7 +329,11 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         where = f"{error.filename}: " if error.filename else ""
         _leave(f"hjprofile: {where}{error.strerror or error}; nothing was left half-written", 1)
     except KeyboardInterrupt:
-        _leave("hjprofile: interrupted; nothing was left half-written", 1)
+        try:
+            _leave("hjprofile: interrupted; nothing was left half-written", 1)
+        finally:
+            if arguments is None:  # Python would end with the signal instead if it came while a module ran exec()
+                os._exit(1)
     sys.exit(0)
 
 
