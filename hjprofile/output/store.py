@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Iterable
 from concurrent.futures import BrokenExecutor, Executor, ThreadPoolExecutor
 from contextlib import suppress
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -90,11 +91,11 @@ def write_run(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "summary.json").unlink(missing_ok=True)
-    *first, last = files.items()
-    with ThreadPoolExecutor(8) as pool:  # some seventy files, each of which waits for the disk
-        for _ in pool.map(lambda file: write_whole(folder / file[0], file[1]), first):
-            pass
-    write_whole(folder / last[0], last[1])
+    with ThreadPoolExecutor(8) as pool:
+        for is_vtk, group in groupby(files.items(), lambda file: file[0].startswith(VTK_FOLDER)):
+            # VTK's are many, and each waits for the disk; the others are written in their order
+            for _ in (pool.map if is_vtk else map)(lambda file: write_whole(folder / file[0], file[1]), group):
+                pass
     for pattern in _STALE:
         for path in folder.glob(pattern):
             if path.relative_to(folder).as_posix() not in files:
