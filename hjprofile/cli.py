@@ -45,6 +45,8 @@ Method = Annotated[str | None, Parameter(help="Solver method, instead of the cas
 Cfl = Annotated[float | None, Parameter(help="Time step as a part of the largest monotone one.")]
 Tolerance = Annotated[float | None, Parameter(help="Largest error of u; takes the method auto if none is named.")]
 End = Annotated[float | None, Parameter(help="Mass of grains poured in at which the run ends.")]
+Resume = Annotated[bool, Parameter(negative="", help="Go on from the checkpoint in the folder for the results.")]
+Strict = Annotated[bool, Parameter(negative="", help="Stop, as a failure, where a bound is broken.")]
 Out = Annotated[Path | None, Parameter(help="Folder for the results; results/<case name> by default.")]
 Into = Annotated[Path | None, Parameter(help="Folder for the files; the result's own by default.")]
 
@@ -59,12 +61,15 @@ def run(
     cfl: Cfl = None,
     tolerance: Tolerance = None,
     end: End = None,
+    strict: Strict = False,
+    resume: Resume = False,
     out: Out = None,
 ) -> None:
     """Solve a case and write its result folder.
 
     CASE is a TOML file, or the name of a case that comes with the package (`hjprofile cases` lists them).
     """
+    from hjprofile.output.checkpoint import Checkpoint
     from hjprofile.output.store import open_folder, write_run
     from hjprofile.problem.case import load_case
 
@@ -79,10 +84,16 @@ def run(
 
         check_method(loaded)
         open_folder(folder)
+        checkpoint = Checkpoint(folder, loaded.checkpoint, resume)
         with _Progress("eroding") as progress:
-            result = solve_case(loaded, progress)
+            result = solve_case(loaded, progress, strict, checkpoint)
         files = write_run(result, folder, loaded.vtk, loaded.plots, helper)
+        checkpoint.discard()
     print(_account(result))
+    if checkpoint.resumed_at is not None:
+        print(f"  resumed     from the checkpoint at t = {checkpoint.resumed_at:.6g}")
+    elif resume:
+        print("  resumed     not: there was no checkpoint, so from the start")
     print(f"  written     {folder}: {_listing(folder, files)}")
     if not result.done:
         raise RunError(f"{loaded.source}: {result.status}; the last good state is in {folder}")
@@ -244,7 +255,6 @@ def _account(run: Run) -> str:
     count = {kind: sum(e.event == kind for e in run.events) for kind in ("birth", "merge", "exit")}
     plural = {"birth": "births", "merge": "merges", "exit": "exits"}
     events = ", ".join(f"{n} {plural[kind] if n != 1 else kind}" for kind, n in count.items())
-    bounds = [name for name, b in run.bounds.items() if not b.holds]
     mass, budget = run.bounds["mass_budget"], run.bounds["volume_budget"]
     lines = [
         run.title,
@@ -254,7 +264,8 @@ def _account(run: Run) -> str:
         f"  kinks       {len(run.kinks_at(0))} at t = {run.time[0]:g}, {len(run.kinks_at(-1))} at the end; {events}",
         f"  budgets     mass {f'to {mass.allowance}' if mass.holds else 'NOT KEPT'}; "
         f"volume to {run.volume_budget_error:.2g} ({budget.allowance})",
-        f"  bounds      {'all hold' if not bounds else 'NOT HELD: ' + ', '.join(bounds)}",
+        f"  bounds      {'all hold' if not run.warnings else 'NOT HELD:'}",
+        *(f"  WARNING     {warning}" for warning in run.warnings),
     ]
     if run.error_estimate is not None:
         lines.append(f"  error       of u at most {run.error_estimate:.2g}, by estimate")

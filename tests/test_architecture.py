@@ -10,7 +10,8 @@ import pytest
 import hjprofile
 
 HOME = Path(hjprofile.__file__).parent
-ROOMS = ("errors", "problem", "solvers.run", "monitors", "solvers", "evidence", "output", "cli")  # from the bottom up
+# from the bottom up
+ROOMS = ("errors", "problem", "solvers.kernels", "solvers.run", "monitors", "solvers", "evidence", "output", "cli")
 ONLY_IN = {  # package -> the modules and rooms that may import it
     "numba": ("solvers.kernels",),
     "pyvista": ("output.vtk",),

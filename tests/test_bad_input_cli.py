@@ -198,7 +198,7 @@ def test_a_run_that_breaks_down_at_once(in_tmp, capsys):
 def test_a_run_that_breaks_down_on_its_way(folder, capsys):
     content = changed({"profile": {"kind": "steps", "edges": [-4.0, -2.0], "values": [-0.4]}, "time.end": 4.0})
     content |= {"domain": {"left": -6.0, "cells": 150}, "time": {"end": 4.0, "snapshots": 9}}
-    content["solver"] = {"method": "local-lax-friedrichs", "cfl": 1.5}
+    content["solver"] = {"method": "godunov", "cfl": 2.5}
     (folder / "scene.toml").write_text(tomli_w.dumps(content))
     result = call(capsys, "run", "scene.toml", "--out", "partial")
     assert_partial(Path("partial"), result, "scene.toml", at_start=False)

@@ -176,7 +176,11 @@ class Rising:
     def __init__(self):
         self.t, self.taken, self.redone = 0.0, [], 0
         self.W, self.q, self.K = np.zeros(1001), np.zeros(1000), np.ones(1001)
+        self.law = grid_law(hj.rational(), self.q)
         self.growth = self.outflow = 0.0
+
+    def means(self):
+        return 0, self.q
 
     def speed(self):
         return 1.0 if self.t < 0.5 else 2.0

@@ -38,7 +38,7 @@ SCENES = {
     "kinks": KINKS,  # a merge and an exit
     "bump": KINKS | {"profile": BUMP, "title": ""},  # a birth
     "survey": KINKS | {"profile": SURVEY, "domain": {"left": -4.0, "cells": 100}},
-    "failed": KINKS | {"solver": {"cfl": 1.5}},
+    "failed": KINKS | {"solver": {"method": "godunov", "cfl": 2.5}},
 }
 FILES = {"profile.nc", "kinks.csv", "events.csv", "summary.json", "profile.png", "diagram.png"}
 
@@ -195,8 +195,9 @@ def test_summary_without_a_number():
 def assert_same(first, second):
     for field in dataclasses.fields(first):
         a, b = getattr(first, field.name), getattr(second, field.name)
-        if field.name in ("kinks", "events"):
-            assert list(map(str, a)) == list(map(str, b)), field.name  # a kink seen once has speed NaN
+        if field.name in ("kinks", "events", "bounds"):  # NaN where a speed or a place is not known
+            assert list(map(str, a)) == list(map(str, b)), field.name
+            assert field.name != "bounds" or str(dict(a)) == str(dict(b))
         elif isinstance(a, np.ndarray):
             assert np.array_equal(a, b) and a.dtype == b.dtype, field.name
         else:

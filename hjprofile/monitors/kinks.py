@@ -1,9 +1,4 @@
-"""Kinks of the profile: where q jumps up. Found on any grid solution, numbered for life.
-
-A shock spreads over a few cells. It is told from a smooth rise by its width: a rise of q by J whose steepest part is d
-per cell has width J/d cells, and a grid cannot resolve what is narrower than WIDEST cells. The kink lies where two
-straight lines, continuing q from either side, hold the mass that the cells between them hold.
-"""
+"""Kinks followed through time: numbered for life, their births, merges and exits."""
 
 from __future__ import annotations
 
@@ -15,14 +10,11 @@ import numpy as np
 
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
+from hjprofile.solvers.kernels.kinks import WIDEST, find_kinks
 from hjprofile.solvers.run import Array, Event, KinkRecord, State
 
 Speed = Callable[["Sighting"], float]
 
-LEAST_JUMP = 0.05  # a weaker jump cannot be told from a steep smooth rise on grids of a thousand cells
-WIDEST = 16  # cells over which a shock may spread; Lax-Friedrichs spreads a jump of 0.4 over this many
-FOOT = 0.08  # a rise ends where it falls below this part of its steepest rise per cell
-GAP, FIT = 1, 4  # cells left out beside the rise, and cells to which a line is fitted
 MEMORY = 10  # sightings at most from which a kink's speed is measured, ...
 NEARBY = 40  # ... and the cells within which they lie, or else the nearest two
 LEAST_LIFE = 3  # sightings that make a kink; fewer are a flicker of the threshold
@@ -39,90 +31,6 @@ class Sighting(NamedTuple):
     @property
     def jump(self) -> float:
         return self.q_right - self.q_left
-
-
-def detect_kinks(grid: Grid, q: Array, K: Array) -> list[Sighting]:
-    """The kinks of cell means q (shape (cells,)) with K on the nodes, from left to right."""
-    found = []
-    d = np.diff(q)
-    for a, b in _rises(q, d):
-        sighting = _locate(grid, q, d, K, a, b)
-        if sighting is not None and sighting.jump >= LEAST_JUMP:
-            found.append(sighting)
-    return found
-
-
-def _rises(q: Array, d: Array) -> list[tuple[int, int]]:
-    """Cells (a, b) between which q rises too steeply for the grid: a is the foot, b the crest; d = diff(q)."""
-    steep = d >= LEAST_JUMP / WIDEST
-    peaks = np.flatnonzero(steep & (d >= np.append(d[1:], -np.inf)) & (d > np.append(-np.inf, d[:-1])))
-    rises: list[tuple[int, int]] = []
-    for p in peaks.tolist():
-        floor, a, b = FOOT * d[p], p, p + 1
-        while a > 0 and p - a < 2 * WIDEST and d[a - 1] > floor:
-            a -= 1
-        while b < q.size - 1 and b - p < 2 * WIDEST and d[b] > floor:
-            b += 1
-        if q[b] - q[a] > WIDEST * d[p]:
-            continue
-        if rises and a < rises[-1][1]:  # two peaks in one rise
-            a0, b0 = rises.pop()
-            a, b = a0, max(b, b0)
-        rises.append((a, b))
-    return rises
-
-
-def _line(grid: Grid, q: Array, first: int, last: int, near: float) -> tuple[float, float]:
-    """Value and slope at x = `near` of the line through cells first..last; flat where they are fewer than three."""
-    n = last - first + 1
-    x = grid.centres[first : last + 1] - near
-    values = q[first : last + 1]
-    if n < 3:
-        return float(values[-1] if x[-1] < 0 else values[0]), 0.0
-    mean_x, mean = float(x.sum()) / n, float(values.sum()) / n
-    centred = x - mean_x
-    slope = float(centred @ values / (centred @ centred))
-    return mean - slope * mean_x, slope
-
-
-def _locate(grid: Grid, q: Array, d: Array, K: Array, a: int, b: int) -> Sighting | None:
-    """Place of the kink between foot a and crest b by conservation, with one-sided values there."""
-    x, dx = grid.nodes, grid.dx
-    middle = 0.5 * (x[a] + x[b + 1])
-    left_end, right_end = a - GAP, b + GAP  # the cells nearest to the rise that the lines are fitted to
-    left_start = left_end - FIT + 1
-    right_stop = right_end + FIT - 1
-    # never fit across a neighbouring rise or the end of the grid
-    steep = LEAST_JUMP / WIDEST
-    while left_start < max(left_end, 0) and (left_start < 0 or d[left_start] > steep):
-        left_start += 1
-    while right_stop > min(right_end, q.size - 1) and (right_stop >= q.size or d[right_stop - 1] > steep):
-        right_stop -= 1
-    left_end, right_end = max(left_end, 0), min(right_end, q.size - 1)
-    ql, sl = _line(grid, q, min(max(left_start, 0), left_end), left_end, middle)
-    qr, sr = _line(grid, q, right_end, max(min(right_stop, q.size - 1), right_end), middle)
-    if left_end > a:
-        ql, sl = float(q[a]), 0.0
-    if right_end < b:
-        qr, sr = float(q[b]), 0.0
-    if not qr > ql:
-        return None
-    start, stop = x[min(a, left_end)], x[max(b, right_end) + 1]
-    mass = dx * float(np.sum(q[min(a, left_end) : max(b, right_end) + 1]))
-    s = middle
-    for _ in range(8):  # ∫ left line up to s + ∫ right line from s on = mass; Newton
-        held = (
-            ql * (s - start) + 0.5 * sl * ((s - middle) ** 2 - (start - middle) ** 2)
-            + qr * (stop - s) + 0.5 * sr * ((stop - middle) ** 2 - (s - middle) ** 2)
-        )  # fmt: skip
-        jump = (qr + sr * (s - middle)) - (ql + sl * (s - middle))
-        if not jump > 0:
-            return None
-        s = min(max(s + (held - mass) / jump, start), stop)
-    left, right = ql + sl * (s - middle), qr + sr * (s - middle)
-    if not (right > left > -1.0):
-        return None
-    return Sighting(float(s), float(left), float(right), float(np.interp(s, x[a : b + 2], K[a : b + 2])))
 
 
 @dataclass(eq=False)
@@ -153,22 +61,45 @@ class _Path:
 
 
 class KinkTracker:
-    """A monitor that detects kinks in every state it sees and links the sightings into paths."""
+    """A monitor that finds the kinks of every state it sees and links the sightings into paths."""
+
+    memory: tuple[str, ...] = ("table",)
 
     def __init__(self, law: ErosionLaw, grid: Grid):
         self.law, self.grid = law, grid
         self.frames: list[tuple[float, list[Sighting]]] = []
         self.latest: tuple[float, list[Sighting]] = (-np.inf, [])
 
+    def wants(self, state: State) -> bool:
+        return True
+
     def happened(self, state: State) -> bool:
         """Whether there are more or fewer kinks than when they were last observed."""
-        self.latest = state.t, detect_kinks(self.grid, state.q, state.K)
-        return len(self.latest[1]) != len(self.frames[-1][1])
+        return len(self._look(state)) != len(self.frames[-1][1])
 
     def observe(self, state: State) -> None:
+        self.frames.append((state.t, self._look(state)))
+
+    def _look(self, state: State) -> list[Sighting]:
         if self.latest[0] != state.t:
-            self.latest = state.t, detect_kinks(self.grid, state.q, state.K)
-        self.frames.append(self.latest)
+            rows = find_kinks(state.q, float(self.grid.nodes[state.first]), self.grid.dx, state.law)
+            self.latest = state.t, [Sighting(*row) for row in rows.tolist()]
+        return self.latest[1]
+
+    @property
+    def table(self) -> Array:
+        """The frames as rows: the time, then the fields of a sighting; a frame without kinks is a row of NaN."""
+        none = [Sighting(*[np.nan] * 4)]
+        return np.array([(t, *seen) for t, sightings in self.frames for seen in sightings or none])
+
+    @table.setter
+    def table(self, rows: Array) -> None:
+        self.frames = []
+        for t, *seen in rows.tolist():
+            if not self.frames or self.frames[-1][0] != t:
+                self.frames.append((t, []))
+            if not np.isnan(seen[0]):
+                self.frames[-1][1].append(Sighting(*seen))
 
     def result(self, kept: Array) -> tuple[list[KinkRecord], list[Event]]:
         """Kinks at the kept times, and the events of the whole run."""

@@ -161,9 +161,10 @@ def summary(run: Run) -> dict[str, Any]:
         if "volume_budget" in run.bounds
         else None,
         "bounds": {
-            name: {"holds": b.holds, "worst_margin": b.worst_margin, "time": b.time, "allowance": b.allowance}
+            name: {"holds": b.holds, "worst_margin": b.worst_margin, "time": b.time, "x": b.x, "allowance": b.allowance}
             for name, b in run.bounds.items()
         },
+        "warnings": run.warnings,
         "hjprofile_version": hjprofile.__version__,
     }
     if run.error_estimate is not None:
@@ -192,12 +193,12 @@ def to_json(content: Any) -> str:
 
 
 def to_csv(header: Iterable[str], rows: Iterable[tuple]) -> str:
-    """A table in which floats keep all their digits and None is an empty field."""
+    """A table in which floats keep all their digits, and what is None or NaN is an empty field."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(header)
     for row in rows:
-        writer.writerow(["" if v is None else repr(float(v)) if isinstance(v, float) else v for v in row])
+        writer.writerow(["" if v is None or v != v else repr(float(v)) if isinstance(v, float) else v for v in row])
     return stream.getvalue()
 
 
@@ -212,7 +213,7 @@ def load_run(folder: str | Path) -> Run:
             text = {n: getattr(file, n).decode() for n in ("method", "case", "status")}
             units = Units(*(float(getattr(file, n)) for n in _UNITS)) if hasattr(file, _UNITS[0]) else None
         kinks = [
-            KinkRecord(**{n: int(v) if n == "kink" else float(v) for n, v in row.items()})  # type: ignore[arg-type]
+            KinkRecord(**{n: int(v) if n == "kink" else float(v or "nan") for n, v in row.items()})  # type: ignore[arg-type]
             for row in _read(folder, "kinks.csv")
         ]
         events = [
@@ -227,7 +228,9 @@ def load_run(folder: str | Path) -> Run:
             kinks=kinks, events=events, eroded_volume=_number(content["eroded_volume"]),
             outflow=_number(content["outflow"]), units=units,
             bounds={
-                name: Verdict(b["holds"], _number(b["worst_margin"]), _number(b["time"]), b["allowance"])
+                name: Verdict(
+                    b["holds"], _number(b["worst_margin"]), _number(b["time"]), _number(b["x"]), b["allowance"]
+                )
                 for name, b in content["bounds"].items()
             },
             volume_budget_error=_number((content["volume_budget"] or {}).get("difference")),

@@ -69,7 +69,10 @@ def _kinks(run: Run, i: int) -> pyvista.PolyData:
     length = run.units.length if run.units else 1.0
     mesh.point_data["kink"] = np.array([k.kink for k in kinks], dtype=np.int64)
     mesh.point_data["jump"] = np.array([k.jump for k in kinks], dtype=float)
-    mesh.point_data["speed"] = length * np.array([k.speed for k in kinks], dtype=float)
+    mesh.point_data["speed"] = length * np.array(
+        [k.rankine_hugoniot_speed if np.isnan(k.speed) else k.speed for k in kinks],
+        dtype=float,  # seen only once
+    )
     return mesh
 
 

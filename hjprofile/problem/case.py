@@ -18,6 +18,7 @@ from hjprofile.problem.survey import survey
 
 DEFAULT_METHOD = "local-lax-friedrichs"
 DEFAULT_CFL = 0.9
+DEFAULT_CHECKPOINT = 60.0  # seconds
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,7 @@ class Case:
         source: where it came from, for messages.
         method, cfl, tolerance: how to solve it.
         vtk, plots: what to write beside `profile.nc` and the tables.
+        checkpoint: seconds between two checkpoints of a run on a grid.
         expect: what the case's own test asserts.
     """
 
@@ -41,6 +43,7 @@ class Case:
     tolerance: float | None = None
     vtk: bool = True
     plots: bool = True
+    checkpoint: float = DEFAULT_CHECKPOINT
     expect: Mapping[str, Any] | None = None
 
 
@@ -216,6 +219,7 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
     method, cfl = solver.take("method", _text, DEFAULT_METHOD), solver.take("cfl", _positive, DEFAULT_CFL)
     tolerance = solver.take("tolerance", _positive, None)
     vtk, plots = output.take("vtk", _switch, True), output.take("plots", _switch, True)
+    checkpoint = output.take("checkpoint", _positive, DEFAULT_CHECKPOINT)
     for section in (domain, time, solver, output):
         section.finish()
     section = domain
@@ -229,7 +233,7 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
         profile.check(grid, law)
     except InputError as error:
         raise section.error(str(error)) from None
-    return Case(name, source, problem, grid, method, cfl, tolerance, vtk, plots, expect)
+    return Case(name, source, problem, grid, method, cfl, tolerance, vtk, plots, checkpoint, expect)
 
 
 def resolved_case(

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.errors import InputError, RunError
-from hjprofile.monitors.bounds import SnapshotBounds
+from hjprofile.monitors.snapshot_bounds import SnapshotBounds
 from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid

@@ -19,7 +19,7 @@ from hjprofile.solvers.grid_law import GridLaw, grid_law
 from hjprofile.solvers.high_order import HighOrder
 from hjprofile.solvers.kernels import grid as kernels
 from hjprofile.solvers.kernels import wavefront
-from hjprofile.solvers.march import NEGLIGIBLE, Breakdown
+from hjprofile.solvers.march import BESIDE, NEGLIGIBLE, Breakdown
 from hjprofile.solvers.nonlocal_factor import fill_factor
 from hjprofile.solvers.run import Array
 
@@ -40,8 +40,11 @@ def _growth(z: Array) -> Array:
 
 
 def _local_lax_friedrichs(law: GridLaw, dx: float, ql: Array, qr: Array, K: Array, bound: float):
-    viscosity = K * law.derivative(np.minimum(ql, qr))
-    return K * law.f((ql + qr) / 2) - viscosity / 2 * (qr - ql), viscosity
+    left, right = law.derivative(ql), law.derivative(qr)
+    viscosity = K * np.maximum(left, right)
+    thickest = np.maximum(np.maximum(K, K * _growth(law.f(ql) * dx)), np.append(K[1:], 1.0))  # of neighbouring nodes
+    speed = thickest * (np.maximum(left, right) + np.maximum(right - left, 0.0) / 2)
+    return K * law.f((ql + qr) / 2) - viscosity / 2 * (qr - ql), speed
 
 
 def _lax_friedrichs(law: GridLaw, dx: float, ql: Array, qr: Array, K: Array, bound: float):
@@ -71,10 +74,11 @@ HIGH_ORDER: Mapping[str, str] = MappingProxyType({"conservative-eno2": "eno2", "
 class FirstOrder:
     """Forward Euler with one of FLUXES, in plain numpy."""
 
-    cfl_limit = 1.0
+    memory: tuple[str, ...] = ("q", "W_left", "growth", "outflow")
 
     def __init__(self, law: GridLaw, grid: Grid, q: Array, W_left: float, inflow: float, flux: FirstOrderFlux):
         self.law, self.grid, self.inflow, self.flux = law, grid, inflow, flux
+        self.cfl_limit = 2 / 3 if flux is _lax_friedrichs else 1.0
         self.q, self.W_left = q.copy(), W_left
         self.K = np.ones(grid.cells + 1)
         self.growth = self.outflow = 0.0
@@ -94,6 +98,9 @@ class FirstOrder:
             raise Breakdown(self.q, self.K)
         return speed
 
+    def means(self) -> tuple[int, Array]:
+        return 0, self.q
+
     def advance(self, dt: float, steps: int, bound: float) -> float:
         self.kept = self.q, self.W_left, self.growth, self.outflow
         fastest, dx = 0.0, self.grid.dx
@@ -104,6 +111,8 @@ class FirstOrder:
             neighbour = np.append(self.q[1:], self.q[-1])  # outflow at x = 0
             F, speed = self.flux(self.law, dx, self.q, neighbour, K[1:], bound)
             fastest = max(fastest, float(np.max(speed)))
+            if self.flux in (_lax_friedrichs, _local_lax_friedrichs):  # viscosity can carry q to the left end
+                fastest = max(fastest, float(K[0] * np.max(self.law.derivative(np.array([0.0, self.q[0]])))))
             self.q = self.q - dt / dx * np.diff(F, prepend=self.inflow)
             self.W_left -= dt * self.inflow
             self.growth += dt * (float(K[0]) - 1.0)
@@ -124,6 +133,7 @@ class SecondOrder:
     """
 
     cfl_limit = 1.0
+    memory: tuple[str, ...] = ("q", "W_left", "active", "growth", "outflow")
 
     def __init__(self, law: GridLaw, grid: Grid, q: Array, W_left: float, inflow: float):
         self.law, self.grid, self.inflow = law, grid, inflow
@@ -139,6 +149,10 @@ class SecondOrder:
     def evaluate(self) -> float:
         self.law, speed = fill_factor(self.law, self.q, self.grid.dx, self.K)
         return speed
+
+    def means(self) -> tuple[int, Array]:
+        a, b = max(self.active[0] - BESIDE, 0), min(self.active[1] + 1 + BESIDE, self.grid.cells)
+        return a, self.q[a:b]
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
         a, b = max(self.active[0] - steps - 3, 0), min(self.active[1] + steps + 4, self.grid.cells)
@@ -166,6 +180,7 @@ class HighOrderConservation(HighOrder):
 
     def __init__(self, law: GridLaw, grid: Grid, q: Array, W_left: float, inflow: float, order: str):
         super().__init__(law, grid, q, order, inflow)
+        self.memory = (*self.memory, "t")
         self.W_left, self.t = W_left, 0.0
 
     @property

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hjprofile.errors import InputError, RunError
-from hjprofile.monitors.bounds import SnapshotBounds
+from hjprofile.monitors.snapshot_bounds import SnapshotBounds
 from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.erosion import ErosionLaw

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hjprofile.problem.erosion import Array, ErosionLaw, Function
-from hjprofile.solvers.kernels.erosion import PIECES, SHIFT, Rational, Tabulated
+from hjprofile.solvers.kernels.erosion import PIECES, SHIFT, Rational, Tabulated, values
 
 HEADROOM = 5  # binades of 1 + q that a table has above the data: q grows along characteristics
 
@@ -47,17 +47,18 @@ def grid_law(law: ErosionLaw, q: Array) -> GridLaw:
     c0, c1 = at_ends[:-1].copy(), slopes[:-1].copy()
     c2, d1 = (np.diff(at_ends) / h - c1) / h, np.diff(slopes) / h
 
-    def place(q):
-        p = np.asarray(1.0 + q, dtype=float)
-        piece = np.clip((p.view(np.int64) >> SHIFT) - first, 0, pieces - 1)
-        return piece, p - ends[piece]
+    kernel = Tabulated(c0, c1, c2, d1, first)
 
     def f(q):
-        piece, s = place(q)
-        return c0[piece] + s * (c1[piece] + s * c2[piece])
+        return _values(q, kernel)[0]
 
     def derivative(q):
-        piece, s = place(q)
-        return c1[piece] + s * d1[piece]
+        return _values(q, kernel)[1]
 
-    return GridLaw(law, f, derivative, Tabulated(c0, c1, c2, d1, first), float(ends[-1]) - 1.0)
+    return GridLaw(law, f, derivative, kernel, float(ends[-1]) - 1.0)
+
+
+def _values(q: Array, kernel: Tabulated) -> tuple[Array, Array]:
+    f, df = np.empty(q.shape), np.empty(q.shape)
+    values(q.ravel(), kernel, f.ravel(), df.ravel())
+    return f, df

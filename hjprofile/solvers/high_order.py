@@ -15,7 +15,7 @@ import numpy as np
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.grid_law import GridLaw
 from hjprofile.solvers.kernels import grid as kernels
-from hjprofile.solvers.march import Breakdown
+from hjprofile.solvers.march import BESIDE, Breakdown
 from hjprofile.solvers.run import Array
 
 Rate = Callable[[Array], Array]
@@ -62,6 +62,8 @@ ORDERS: Mapping[str, Order] = MappingProxyType(
 class HighOrder:
     """A scheme of the method of lines on the part of the grid where anything happens."""
 
+    memory: tuple[str, ...] = ("state", "active", "growth", "outflow")
+
     def __init__(self, law: GridLaw, grid: Grid, state: Array, order: str, inflow: float):
         self.law, self.grid, self.order, self.inflow = law, grid, ORDERS[order], inflow
         self.cfl_limit = self.order.cfl_limit
@@ -89,6 +91,12 @@ class HighOrder:
         self.law = self.law.covering(self.q)
         return self._speed(self.q, self._fluxes(self.q, self.inflow, self.K)[1], self.K)
 
+    def means(self) -> tuple[int, Array]:
+        nodes = self.state.size - self.grid.cells
+        a, b = max(self.active[0] - BESIDE, 0), min(self.active[1] + 1 + BESIDE, self.grid.cells)
+        self.q[a:b] = self._means(self.state[a : b + nodes])
+        return a, self.q[a:b]
+
     def _fluxes(self, q: Array, inflow: float, K: Array) -> tuple[Array, Array]:
         """F at the nodes and q on their left, from q on the cells; fills K."""
         g = kernels.GHOSTS
@@ -103,11 +111,11 @@ class HighOrder:
         F[0] = inflow
         return F, edges
 
-    def _speed(self, q: Array, edges: Array, K: Array) -> float:
+    def _speed(self, q: Array, edges: Array, K: Array, first: int = 0) -> float:
         """The largest K f'. Raises Breakdown if there is none."""
         speed = float(kernels.fastest(K, self.law.derivative(np.minimum(q, edges[1:]))))
         if not 0.0 < speed < np.inf:
-            raise Breakdown(q, K)
+            raise Breakdown(q, K, first)
         return speed
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
@@ -126,10 +134,10 @@ class HighOrder:
         def rate(y: Array) -> Array:
             q = self._means(y[:-2])
             if not np.min(q) > -1.0:
-                raise Breakdown(q, K)
+                raise Breakdown(q, K, a)
             F, edges = self._fluxes(q, inflow, K)
             if not speeds:  # of states, not of stages
-                speeds.append(self._speed(q, edges, K))
+                speeds.append(self._speed(q, edges, K, a))
             return np.concatenate([self._rate(F), [K[0] - 1.0, F[-1]]])
 
         part = slice(a, b + nodes)

@@ -17,7 +17,7 @@ from hjprofile.solvers.grid_law import GridLaw, grid_law
 from hjprofile.solvers.high_order import ORDERS, HighOrder
 from hjprofile.solvers.kernels import grid as kernels
 from hjprofile.solvers.kernels import wavefront
-from hjprofile.solvers.march import NEGLIGIBLE
+from hjprofile.solvers.march import BESIDE, NEGLIGIBLE
 from hjprofile.solvers.nonlocal_factor import fill_factor
 from hjprofile.solvers.run import Array
 
@@ -36,9 +36,10 @@ FLUXES: Mapping[str, type[Flux]] = MappingProxyType(
 class HamiltonJacobi:
     """A monotone first-order scheme for W = u - x with forward Euler steps, many of them in one sweep."""
 
-    cfl_limit = 1.0
+    memory: tuple[str, ...] = ("W", "active", "growth", "outflow")
 
     def __init__(self, law: GridLaw, grid: Grid, W: Array, flux: type[Flux], inflow: float = 0.0):
+        self.cfl_limit = 2 / 3 if flux is wavefront.LaxFriedrichs else 1.0
         self.law, self.grid, self.flux, self.inflow = law, grid, flux, inflow
         self.W, self.before = W.copy(), W.copy()
         self.q, self.K = np.empty(grid.cells), np.ones(grid.cells + 1)
@@ -50,6 +51,11 @@ class HamiltonJacobi:
         np.divide(np.diff(self.W), self.grid.dx, out=self.q)
         self.law, speed = fill_factor(self.law, self.q, self.grid.dx, self.K)
         return speed
+
+    def means(self) -> tuple[int, Array]:
+        a, b = max(self.active[0] - BESIDE, 0), min(self.active[1] + BESIDE, self.grid.cells)
+        np.divide(np.diff(self.W[a : b + 1]), self.grid.dx, out=self.q[a:b])
+        return a, self.q[a:b]
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
         n = self.grid.cells

@@ -8,38 +8,54 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from hjprofile.errors import RunError
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
-from hjprofile.solvers.run import Array, Monitor, State
+from hjprofile.solvers.grid_law import GridLaw
+from hjprofile.solvers.run import Array, Halt, Keeper, Monitor, State
 
-STEP_FLOOR = 1e-9  # of the run's end: more steps than this allows would take days
+STEP_FLOOR = 1e-9  # of the run's end: more steps than this allows would take days, ...
+PATIENCE = 20_000  # ... but the first ones can be much shorter than those after them: K falls, and hollows fill
 MOST_STEPS = 64  # at a time; fewer on coarse grids, so that between two states that monitors see ...
 MOST_WAY = 1 / 32  # ... nothing moves further than this part of the grid
 CLOSE_STEPS = 6  # at a time, where a monitor wants to know when something happened
 MARGIN = 0.01  # by which the speed may rise while steps are taken, beyond half as much again as it rose last
+NOBODY: Mapping[str, Any] = MappingProxyType({})
+BESIDE = 64  # critical cells that monitors see beside what is not critical, as many as their stencils can ask for
 NEGLIGIBLE = 1e-40  # differences of W or q that are made none
 
 
 class Scheme(Protocol):
-    """A discretisation with its own time steps. `q`, `K` belong to the present state after `evaluate`."""
+    """A discretisation with its own time steps. `q`, `K` belong to the present state after `evaluate`.
+
+    `memory` names the attributes that make up its state, for a checkpoint.
+    """
 
     @property
     def W(self) -> Array: ...
 
+    law: GridLaw
     q: Array
     K: Array
     growth: float
     outflow: float
+    memory: tuple[str, ...]
     cfl_limit: float  # Δt max(K f')/Δx at which the scheme is still monotone (limited: total variation diminishing)
 
     def evaluate(self) -> float:
         """Brings q and K up to the present state; returns max K f'. Raises Breakdown."""
+        ...
+
+    def means(self) -> tuple[int, Array]:
+        """q at present on the cells where it need not be 0, and the first of these cells."""
         ...
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
@@ -59,14 +75,14 @@ class Scheme(Protocol):
 
 
 class Breakdown(Exception):
-    """The state is no longer admissible. Carries the cell, q there, and K as it was there last."""
+    """The state is no longer admissible. Carries the cell and q there; `first` is the cell of the grid at q[0]."""
 
-    def __init__(self, q: Array, K: Array):
+    def __init__(self, q: Array, K: Array, first: int = 0):
         bad = ~(np.isfinite(q) & (q > -1.0))
         # K is summed from the right, so the rightmost bad cell is the first to blame
         elsewhere = np.argmin(q) if np.isfinite(K).all() else np.argmin(np.isfinite(K))
-        self.cell = int(np.flatnonzero(bad)[-1]) if bad.any() else int(elsewhere)
-        self.q, self.K = float(q[self.cell]), float(K[self.cell + 1])
+        cell = int(np.flatnonzero(bad)[-1]) if bad.any() else int(elsewhere)
+        self.cell, self.q = first + cell, float(q[cell])
 
 
 class _StepTooSmall(Exception):
@@ -86,106 +102,197 @@ class Recording(NamedTuple):
     wall_seconds: float
 
 
+@dataclass
+class _Pace:
+    """Where the march is, and how it gets on."""
+
+    t: float = 0.0
+    steps: int = 0
+    seconds: float = 0.0
+    shortest: float = np.inf
+    longest: float = 0.0
+    speed: float = 0.0  # K f' met last
+    rise: float = 0.0  # of the speed from the last lot of steps to this, as a part of it
+    outgrown: float = 0.0  # speed that was met in steps that were too long for it
+    most: int = MOST_STEPS  # steps to take at once
+    close_until: float = 0.0  # time up to which few steps are taken at once
+
+    memory: tuple[str, ...] = (
+        "t",
+        "steps",
+        "seconds",
+        "shortest",
+        "longest",
+        "speed",
+        "rise",
+        "outgrown",
+        "most",
+        "close_until",
+    )
+
+
+class _Recorder:
+    """Rows of t, W, q and K at the times that are kept."""
+
+    memory: tuple[str, ...] = ("kept",)
+
+    def __init__(self, times: int, grid: Grid):
+        self.columns = [
+            np.empty((times, *shape)) for shape in ((), (grid.cells + 1,), (grid.cells,), (grid.cells + 1,))
+        ]
+        self.rows = 0
+
+    def save(self, t: float, scheme: Scheme) -> None:
+        for i, value in enumerate((t, scheme.W, scheme.q, scheme.K)):
+            if self.rows == len(self.columns[i]):  # the last good state of a run that stopped after all kept times
+                self.columns[i] = np.concatenate([self.columns[i], [value]])
+            self.columns[i][self.rows] = value
+        self.rows += 1
+
+    @property
+    def kept(self) -> Array:
+        return np.concatenate([column[: self.rows].reshape(self.rows, -1) for column in self.columns], axis=1)
+
+    @kept.setter
+    def kept(self, rows: Array) -> None:
+        self.rows = len(rows)
+        widths = np.cumsum([1] + [column.shape[1] for column in self.columns[1:]])
+        for column, part in zip(self.columns, np.split(rows, widths[:-1], axis=1), strict=True):
+            column[: self.rows] = part.reshape(column[: self.rows].shape)
+
+
+def _remember(parts: Mapping[str, Any]) -> dict[str, Array]:
+    """What the parts of a run name as their memory, by "part.name"."""
+    return {f"{part}.{name}": np.asarray(getattr(what, name)) for part, what in parts.items() for name in what.memory}
+
+
+def _recall(parts: Mapping[str, Any], stored: Mapping[str, Array]) -> None:
+    for part, what in parts.items():
+        for name in what.memory:
+            value, present = stored[f"{part}.{name}"], getattr(what, name)
+            if isinstance(present, np.ndarray):
+                setattr(what, name, np.array(value))
+            else:
+                setattr(what, name, tuple(value.tolist()) if isinstance(present, tuple) else value.item())
+
+
 def march(
     scheme: Scheme, problem: Problem, grid: Grid, cfl: float,
-    monitors: Sequence[Monitor] = (), progress: Callable[[float], None] | None = None,
+    monitors: Mapping[str, Monitor] = NOBODY, progress: Callable[[float], None] | None = None,
     happened: Callable[[State], bool] = lambda state: False,
+    keeper: Keeper | None = None, identity: Mapping[str, Any] = NOBODY,
 ) -> Recording:  # fmt: skip
     """Runs `scheme` to the problem's end; `progress` is called with the fraction that is done.
 
     Where `happened` says that something has since the last state, the steps in between are taken anew, few at a time.
+    A keeper keeps checkpoints, and the run goes on from the one it has of the same `identity`. Raises RunError if the
+    run cannot start, or was asked to stop.
     """
     kept = problem.times
-    columns = [np.empty((kept.size, *shape)) for shape in ((), (grid.cells + 1,), (grid.cells,), (grid.cells + 1,))]
-    saved = 0
-    t, steps, seconds, status = 0.0, 0, 0.0, "done"
-    shortest, longest = np.inf, 0.0
+    recorder, pace = _Recorder(kept.size, grid), _Pace()
+    longest_leap = min(MOST_STEPS, max(1, int(grid.cells * MOST_WAY)))
+    parts: dict[str, Any] = {"pace": pace, "recorder": recorder, "scheme": scheme, **monitors}
+    bound, dt, status = 0.0, 0.0, "done"
 
-    def present(t: float, speed: float) -> State:
-        return State(t, scheme.W, scheme.q, scheme.K, speed, scheme.volume(), scheme.growth, scheme.outflow)
+    def present(t: float, steps: int, speed: float) -> State:
+        first, q = scheme.means()
+        if not np.min(q) > -1.0:  # nor NaN
+            raise Breakdown(q, scheme.K, first)
+        scheme.law = scheme.law.covering(q)
+        return State(
+            t, steps, first, q, scheme.law.kernel, speed, bound, dt, scheme.growth, scheme.outflow, scheme.volume
+        )
 
-    def watch(state: State) -> None:
-        for monitor in monitors:
-            monitor.observe(state)
+    def watch(state: State, every: bool = False) -> None:
+        for monitor in monitors.values():
+            if every or monitor.wants(state):
+                monitor.observe(state)
         if progress:
-            progress(t / problem.end if problem.end else 1.0)
+            progress(pace.t / problem.end if problem.end else 1.0)
 
     def save() -> None:
-        nonlocal saved
-        for i, value in enumerate((t, scheme.W, scheme.q, scheme.K)):
-            if saved == kept.size:  # the last good state of a run that stopped after the last time that is kept
-                columns[i] = np.concatenate([columns[i], [value]])
-            columns[i][saved] = value
-        saved += 1
+        pace.speed = max(pace.speed, scheme.evaluate())
+        recorder.save(pace.t, scheme)
 
     try:
-        speed = scheme.evaluate()
+        pace.speed = scheme.evaluate()
     except Breakdown as broken:
         x = grid.centres[broken.cell]
         raise RunError(
             f"the run cannot start: K f' is not a finite number near x = {x:.6g}, where q = {broken.q:.6g}; "
             "the integral of f is too large (K spans more than 300 decades) or q is too near -1"
         ) from None
-    scheme.advance(0.0, 1, speed)  # compiles what is to be compiled
-    watch(present(t, speed))
-    if kept[0] == 0.0:
-        save()
-    dt, rise, outgrown, close_until = 0.0, 0.0, 0.0, 0.0
-    most = longest_leap = min(MOST_STEPS, max(1, int(grid.cells * MOST_WAY)))
-    try:
-        for target in np.unique(np.append(kept[kept > 0.0], problem.end if problem.end else [])):
-            while t < target:
-                bound = max(speed * (1.0 + MARGIN + 1.5 * rise), outgrown * (1.0 + MARGIN))
-                dt = cfl * scheme.cfl_limit * grid.dx / bound
-                remaining = float(target) - t
-                needed = max(1, math.ceil(remaining / dt * (1.0 - 1e-12)))
-                if needed <= most:
-                    dt = remaining / needed
-                elif dt < STEP_FLOOR * problem.end:
-                    raise _StepTooSmall
-                leap = min(needed, CLOSE_STEPS if t < close_until else most)
-                started = time.perf_counter()
-                try:
-                    met = scheme.advance(dt, leap, bound)
-                    seconds += time.perf_counter() - started
-                    if bound < met < np.inf and (cfl <= 1.0 or leap > 1):
-                        scheme.restore()
-                        if cfl <= 1.0:
-                            outgrown = met
-                        else:  # no bound is promised; each step by the speed before it, to show what comes of it
-                            most = max(1, leap // 4)
-                        continue
-                    scheme.evaluate()
-                    if not met < np.inf:
-                        raise Breakdown(scheme.q, scheme.K)
-                except Breakdown:
-                    if leap == 1:
-                        raise
-                    scheme.restore()  # and once more, to find out where
-                    most = max(1, leap // 4)
-                    continue
-                state = present(float(target) if leap == needed else t + leap * dt, met)
-                if leap > CLOSE_STEPS and happened(state):
-                    close_until = state.t
-                    scheme.restore()
-                    continue
-                rise, speed, outgrown, t = min(max(met / speed - 1.0, 0.0), 1.0), met, 0.0, state.t
-                most = min(2 * most, longest_leap)
-                steps += leap
-                shortest, longest = min(shortest, dt), max(longest, dt)
-                watch(state)
-            if target in kept:
+    scheme.advance(0.0, 1, pace.speed)  # compiles what is to be compiled
+    pace.most = longest_leap
+    with keeper or nullcontext():
+        if keeper and (stored := keeper.recall(identity)):
+            _recall(parts, stored)
+            scheme.evaluate()
+        else:
+            watch(present(0.0, 0, pace.speed), every=True)
+            if kept[0] == 0.0:
                 save()
-    except Breakdown as broken:
-        status = _breakdown_sentence(broken, grid, t, dt, cfl)
-        scheme.restore()
-        speed = scheme.evaluate()
-    except _StepTooSmall:
-        status = _small_step_sentence(scheme, problem, grid, t, dt, speed)
-    if status != "done" and (not saved or columns[0][saved - 1] < t):
-        save()
-    times, W, q, K = (column[:saved] for column in columns)
-    return Recording(times, W, q, K, status, steps, (float(shortest), float(longest)), seconds)
+        targets = np.unique(np.append(kept[kept > 0.0], problem.end if problem.end else []))
+        try:
+            for target in targets[targets > pace.t]:
+                while pace.t < target:
+                    bound = max(pace.speed * (1.0 + MARGIN + 1.5 * pace.rise), pace.outgrown * (1.0 + MARGIN))
+                    dt = cfl * scheme.cfl_limit * grid.dx / bound
+                    remaining = float(target) - pace.t
+                    needed = max(1, math.ceil(remaining / dt * (1.0 - 1e-12)))
+                    if needed <= pace.most:
+                        dt = remaining / needed
+                    elif dt < STEP_FLOOR * problem.end and (pace.steps > PATIENCE or cfl > 1.0):
+                        raise _StepTooSmall
+                    leap = min(needed, pace.most, CLOSE_STEPS if pace.t < pace.close_until else MOST_STEPS)
+                    started = time.perf_counter()
+                    try:
+                        met = scheme.advance(dt, leap, bound)
+                        pace.seconds += time.perf_counter() - started
+                        if bound < met < np.inf and (cfl <= 1.0 or leap > 1):
+                            scheme.restore()
+                            if cfl <= 1.0:
+                                pace.outgrown = met
+                            else:  # no bound is promised; each step by the speed before it, to show what comes of it
+                                pace.most = max(1, leap // 4)
+                            continue
+                        state = present(float(target) if leap == needed else pace.t + leap * dt, pace.steps + leap, met)
+                        if not met < np.inf:
+                            raise Breakdown(state.q, np.full(1, np.inf), state.first)
+                    except Breakdown:
+                        if leap == 1:
+                            raise
+                        scheme.restore()  # and once more, to find out where
+                        pace.most = max(1, leap // 4)
+                        continue
+                    if leap > CLOSE_STEPS and happened(state):
+                        pace.close_until = state.t
+                        scheme.restore()
+                        continue
+                    watch(state, every=leap == needed and target == targets[-1])
+                    pace.rise = min(max(met / pace.speed - 1.0, 0.0), 1.0)
+                    pace.t, pace.steps, pace.speed, pace.outgrown = state.t, state.steps, met, 0.0
+                    pace.most = min(2 * pace.most, longest_leap)
+                    pace.shortest, pace.longest = min(pace.shortest, dt), max(pace.longest, dt)
+                    if pace.t == target and target in kept:
+                        save()
+                    if keeper and keeper.due():
+                        keeper.keep(pace.t, _remember(parts))
+        except Breakdown as broken:
+            scheme.restore()
+            pace.speed = scheme.evaluate()
+            status = _breakdown_sentence(broken, scheme.K[broken.cell + 1], grid, pace.t, dt, cfl)
+        except Halt as halt:
+            scheme.restore()
+            scheme.evaluate()
+            status = f"stopped at t = {pace.t:.6g}: {halt}"
+        except _StepTooSmall:
+            scheme.evaluate()
+            status = _small_step_sentence(scheme, problem, grid, pace.t, dt, pace.speed)
+    if status != "done" and (not recorder.rows or recorder.columns[0][recorder.rows - 1] < pace.t):
+        recorder.save(pace.t, scheme)
+    times, W, q, K = (column[: recorder.rows] for column in recorder.columns)
+    return Recording(times, W, q, K, status, pace.steps, (float(pace.shortest), float(pace.longest)), pace.seconds)
 
 
 def _small_step_sentence(scheme: Scheme, problem: Problem, grid: Grid, t: float, dt: float, speed: float) -> str:
@@ -198,9 +305,9 @@ def _small_step_sentence(scheme: Scheme, problem: Problem, grid: Grid, t: float,
     )
 
 
-def _breakdown_sentence(broken: Breakdown, grid: Grid, t: float, dt: float, cfl: float) -> str:
+def _breakdown_sentence(broken: Breakdown, K: float, grid: Grid, t: float, dt: float, cfl: float) -> str:
     x = grid.centres[broken.cell]
     what = f"q = {broken.q:.6g} reached -1" if np.isfinite(broken.q) else "q stopped being finite"
     remedy = "set cfl to 1 or less" if cfl > 1 else "use a monotone method (godunov), or a smaller cfl"
-    step = f"in a step of {dt:.3g} (cfl = {cfl:g}, K = {broken.K:.3g} there)"
+    step = f"in a step of {dt:.3g} (cfl = {cfl:g}, K = {K:.3g} there)"
     return f"stopped at t = {t:.6g} near x = {x:.6g}: {what} {step}; {remedy}"

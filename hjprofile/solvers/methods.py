@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable
+import hashlib
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
 from hjprofile.errors import InputError, RunError
-from hjprofile.monitors.bounds import BoundsMonitor
+from hjprofile.monitors.bounds import HIGHER_ORDER, LOCAL, MONOTONE, TELESCOPING, BoundsMonitor, Promises
 from hjprofile.monitors.kinks import KinkTracker
 from hjprofile.problem import Problem
 from hjprofile.problem.case import DEFAULT_CFL, DEFAULT_METHOD, Case, resolved_case
@@ -19,7 +21,7 @@ from hjprofile.solvers.characteristics import COARSEST, FINEST, TOLERANCE, solve
 from hjprofile.solvers.fronts import track_fronts
 from hjprofile.solvers.high_order import ORDERS
 from hjprofile.solvers.march import Scheme, march
-from hjprofile.solvers.run import Run
+from hjprofile.solvers.run import Keeper, Run
 
 Progress = Callable[[float], None]
 
@@ -27,6 +29,15 @@ FRONTS = 1600, 12800  # where characteristics cannot go on: the first try, and t
 
 HJ_METHODS = (*hj.FLUXES, *ORDERS)
 CONSERVATIVE_METHODS = ("conservative", *conservation.FLUXES, *conservation.HIGH_ORDER)
+# What each method on a grid keeps to; see monitors/bounds.py
+PROMISES: Mapping[str, Promises] = MappingProxyType(
+    {
+        **dict.fromkeys((*HJ_METHODS, *CONSERVATIVE_METHODS), HIGHER_ORDER),
+        **{f"{form}{name}": MONOTONE for form in ("", "conservative-") for name in ("godunov", "lax-friedrichs")},
+        **{f"{form}telescoping": TELESCOPING for form in ("", "conservative-")},
+        **{f"{form}local-lax-friedrichs": LOCAL for form in ("", "conservative-")},
+    }
+)
 METHODS = (*HJ_METHODS, *CONSERVATIVE_METHODS, "fronts", "characteristics", "auto")
 
 
@@ -109,18 +120,28 @@ def check_method(case: Case) -> None:
         raise InputError(f"{case.source}: [solver] {error}") from None
 
 
-def solve_case(case: Case, progress: Progress | None = None) -> Run:
-    """Solves a case by its own method."""
+def solve_case(case: Case, progress: Progress | None = None, strict: bool = False, keeper: Keeper | None = None) -> Run:
+    """Solves a case by its own method.
+
+    With `strict` a run on a grid stops where it breaks a bound that its method promises; any other returns with that
+    as its status. A keeper keeps checkpoints of runs on a grid; others take seconds.
+    """
     check_method(case)
-    if case.method == "auto":
+    problem, grid, method = case.problem, case.grid, case.method
+    if method in HJ_METHODS or method in CONSERVATIVE_METHODS:
+        problem.check(grid)
+        form = hj if method in HJ_METHODS else conservation
+        return _solve(form.scheme(problem, grid, method), problem, grid, method, case.cfl, progress, strict, keeper)
+    if method == "auto":
         assert case.tolerance is not None
-        return solve(case.problem, case.tolerance, case.grid, progress)
-    if case.method == "characteristics":
-        return solve_characteristics(case.problem, case.grid, case.tolerance or TOLERANCE, progress)
-    if case.method == "fronts":
-        return track_fronts(case.problem, case.grid, progress=progress)
-    on_grid = solve_hj if case.method in HJ_METHODS else solve_conservative
-    return on_grid(case.problem, case.grid, case.method, case.cfl, progress)
+        run = solve(problem, case.tolerance, grid, progress)
+    elif method == "characteristics":
+        run = solve_characteristics(problem, grid, case.tolerance or TOLERANCE, progress)
+    else:
+        run = track_fronts(problem, grid, progress=progress)
+    return (
+        replace(run, status=f"went to its end, but {run.warnings[0]}") if strict and run.done and run.warnings else run
+    )
 
 
 def _known(method: str, methods: tuple[str, ...]) -> None:
@@ -130,23 +151,31 @@ def _known(method: str, methods: tuple[str, ...]) -> None:
         raise InputError(f"method = {method!r} is not known{hint} (allowed: {', '.join(methods)})")
 
 
-def _solve(scheme: Scheme, problem: Problem, grid: Grid, method: str, cfl: float, progress: Progress | None) -> Run:
+def _solve(
+    scheme: Scheme, problem: Problem, grid: Grid, method: str, cfl: float, progress: Progress | None,
+    strict: bool = False, keeper: Keeper | None = None,
+) -> Run:  # fmt: skip
     if not cfl > 0:
         raise InputError(f"cfl = {cfl} must be a positive number")
-    inflow = problem.profile.inflow
     bounds = BoundsMonitor(
-        problem.law, grid, inflow,
-        monotone=method.removeprefix("conservative-") in hj.FLUXES, telescoping=method.endswith("telescoping"),
+        problem.law, grid, scheme.W, problem.profile.inflow, problem.end, PROMISES[method],
+        hj.FLUXES.get(method.removeprefix("conservative-")), strict,
     )  # fmt: skip
     tracker = KinkTracker(problem.law, grid)
-    record = march(scheme, problem, grid, cfl, (bounds, tracker), progress, tracker.happened)
+    case = resolved_case(problem, grid, method, cfl)
+    # two runs are the same if they have the same case, and what it names is the same
+    data = hashlib.sha256(scheme.W.tobytes() + problem.law.f(np.linspace(-0.9, 9.0, 100)).tobytes()).hexdigest()
+    record = march(
+        scheme, problem, grid, cfl, {"bounds": bounds, "kinks": tracker}, progress, tracker.happened,
+        keeper, case | {"data": data, "strict": strict},
+    )  # fmt: skip
     kinks, events = tracker.result(record.times)
     u = record.W
     u += grid.nodes
     return Run(
         title=problem.title,
         method=method,
-        case=resolved_case(problem, grid, method, cfl),
+        case=case,
         time=record.times,
         x=grid.nodes,
         x_cell=grid.centres,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
@@ -17,19 +17,58 @@ class State(NamedTuple):
     """A moment of a run. The arrays belong to the solver: copy what is to be kept."""
 
     t: float
-    W: Array  # u - x on the nodes
-    q: Array  # cell means of the excess slope
-    K: Array  # nonlocal factor on the nodes
-    speed: float  # largest K f'
-    volume: float  # ∫(u - x) dx by the method's own sum
+    steps: int  # taken so far
+    first: int  # the cell of the grid at which q begins
+    q: Array  # cell means of the excess slope, where it is not known to be 0
+    law: Any  # for compiled loops, see kernels/erosion.py
+    speed: float  # largest K f' met in the last steps
+    bound: float  # of K f' in the last steps, and ...
+    dt: float  # ... their length; 0 before the first
     growth: float  # ∫(K(left) - 1) dt so far: grains that left at the foot beyond those poured in
     outflow: float  # ∫F(x = 0) dt so far
+    volume: Callable[[], float]  # ∫(u - x) dx by the method's own sum
+
+
+class Halt(Exception):
+    """Raised by a monitor that stops the run; the message says why, and what to try."""
 
 
 class Monitor(Protocol):
-    """Watches a run from outside; sees every few steps, and each snapshot."""
+    """Watches a run from outside: its first state, its last, and those in between that it asks for.
 
-    def observe(self, state: State) -> None: ...
+    Attributes:
+        memory: names of the attributes that a checkpoint has to keep: numbers, tuples of numbers, arrays.
+    """
+
+    memory: tuple[str, ...]
+
+    def wants(self, state: State) -> bool:
+        """Whether to look at this state."""
+        ...
+
+    def observe(self, state: State) -> None:
+        """Looks at it. Raises Halt if the run must not go on."""
+        ...
+
+
+class Keeper(Protocol):
+    """Keeps checkpoints. As a context it also takes care of requests to stop."""
+
+    def __enter__(self) -> Any: ...
+
+    def __exit__(self, *error: Any) -> None: ...
+
+    def recall(self, identity: Mapping[str, Any]) -> Mapping[str, Array] | None:
+        """What was kept of the run that is told from others by `identity`, if there is anything to go on from."""
+        ...
+
+    def due(self) -> bool:
+        """Whether to keep a checkpoint now."""
+        ...
+
+    def keep(self, t: float, memory: Mapping[str, Array]) -> None:
+        """Keeps it. Raises RunError afterwards if the run was asked to stop."""
+        ...
 
 
 class KinkRecord(NamedTuple):
@@ -56,12 +95,24 @@ class Event(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Whether a bound held. The margin is the part of its allowance that was left: 1 untouched, negative exceeded."""
+    """Whether a bound held, and when and where it was nearest to being broken (`x` is NaN if it has no place).
+
+    The margin is the part of its allowance that was left: 1 untouched, negative exceeded.
+    """
 
     holds: bool
     worst_margin: float
     time: float
+    x: float
     allowance: str
+
+    def sentence(self, name: str) -> str:
+        """What a broken bound says to the user."""
+        where = "" if np.isnan(self.x) else f" near x = {self.x:.6g}"
+        return (
+            f"{name} does not hold at t = {self.time:.6g}{where}: exceeded by {-self.worst_margin:.3g} times what is "
+            f"allowed ({self.allowance}); use a monotone method (godunov) with cfl at most 1, or more cells"
+        )
 
 
 @dataclass(frozen=True)
@@ -115,6 +166,11 @@ class Run:
     @property
     def done(self) -> bool:
         return self.status == "done"
+
+    @property
+    def warnings(self) -> list[str]:
+        """A sentence for each bound that the method promises and that was broken."""
+        return [b.sentence(name) for name, b in self.bounds.items() if not b.holds]
 
     @property
     def cells(self) -> int:

@@ -122,6 +122,17 @@ def eroded_with_mean(l, d, s, dx, law, f, df, f_mean):
     """The same, and f dx at the mean of two neighbours with masses of sum s."""
 
 
+def slope_at_zero(law):
+    """f'(0)."""
+
+
+@overload(slope_at_zero)
+def _slope_at_zero(law):
+    if law.instance_class is Rational:
+        return lambda law: 1.0
+    return lambda law: law.c1[(_bits(1.0) >> SHIFT) - law.first]
+
+
 @overload(is_table)
 def _is_table(law):
     return (lambda law: False) if law.instance_class is Rational else (lambda law: True)
@@ -173,3 +184,22 @@ def _eroded_with_mean(l, d, s, dx, law, f, df, f_mean):
         return f[l] * dx, df[l] if d > -dx else np.inf, f_mean[l] * dx
 
     return tabulated
+
+
+@vectorised
+def values(q, law, f, df):
+    """Fills f(q) and f'(q) for a whole array."""
+    row, f_row, df_row = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+    for start in range(0, q.size, LANES):
+        width = min(LANES, q.size - start)
+        for l in range(LANES):
+            row[l] = q[start + l] if l < width else 0.0
+        if is_table(law):
+            for l in range(LANES):
+                row[l] = 1.0 + row[l]
+            read(row, law, f_row, df_row)
+        else:
+            for l in range(LANES):
+                f_row[l], df_row[l] = eroded(l, row[l], 1.0, law, f_row, df_row)
+        for l in range(width):
+            f[start + l], df[start + l] = f_row[l], df_row[l]

@@ -16,18 +16,26 @@ import numpy as np
 from numba.extending import overload
 
 from hjprofile.solvers.kernels import vectorised
-from hjprofile.solvers.kernels.erosion import LANES, eroded, eroded_with_mean, is_table, read, read_f
+from hjprofile.solvers.kernels.erosion import LANES, eroded, eroded_with_mean, is_table, read, read_f, slope_at_zero
 from hjprofile.solvers.kernels.grid import FLOOR_SHARE
 
 
 class LocalLaxFriedrichs(NamedTuple):
-    """F = K f(½(q⁻+q⁺)) - ½ α (q⁺-q⁻), α = K max(f'(q⁻), f'(q⁺)): f' is decreasing."""
+    """F = K f(½(q⁻+q⁺)) - ½ α (q⁺-q⁻), α = K max(f'(q⁻), f'(q⁺)): f' is decreasing.
+
+    No new mean lies outside the old ones on either side (but for K f² Δt), and total variation does not grow, if
+    Δt K (max f' + ½ (f'(q⁺) - f'(q⁻))⁺) <= Δx with the largest K of the node and its neighbours (theory, §2).
+    """
 
     bound: float
 
 
 class LaxFriedrichs(NamedTuple):
-    """The same with one α = `bound`, at least the largest K f' of all steps."""
+    """The same with one α = `bound`, at least the largest K f' of all steps.
+
+    A new mean depends on the old one by 1 - Δt/Δx (α + ½ K_{i+1} f'(mean right) - ½ K_i f'(mean left)), and the last
+    two terms can come to ½ α.
+    """
 
     bound: float
 
@@ -62,6 +70,10 @@ def looks_ahead(flux):
     """Whether the flux needs q on the right of its node."""
 
 
+def is_local(flux):
+    """Whether the flux has a viscosity of its own at each node; `node_flux` then gives its speed without K."""
+
+
 def node_flux(flux, law, l, K, d, d_right, df_right, dx, rows):
     """At a node, from d = q dx on either side: f dx and f' on its left, F dx, and the K f' that bounds the step."""
 
@@ -70,6 +82,11 @@ def node_flux(flux, law, l, K, d, d_right, df_right, dx, rows):
 def _looks_ahead(flux):
     central = flux.instance_class in (LocalLaxFriedrichs, LaxFriedrichs)
     return (lambda flux: True) if central else (lambda flux: False)
+
+
+@overload(is_local)
+def _is_local(flux):
+    return (lambda flux: True) if flux.instance_class is LocalLaxFriedrichs else (lambda flux: False)
 
 
 @overload(node_flux)
@@ -100,7 +117,7 @@ def _node_flux(flux, law, l, K, d, d_right, df_right, dx, rows):
     def local_lax_friedrichs(flux, law, l, K, d, d_right, df_right, dx, rows):
         z, df, z_mean = eroded_with_mean(l, d, d + d_right, dx, law, rows[0], rows[1], rows[2])
         fastest = max(df, df_right)
-        return z, df, K * (z_mean - 0.5 * fastest * (d_right - d)), K * fastest
+        return z, df, K * (z_mean - 0.5 * fastest * (d_right - d)), fastest + 0.5 * max(df_right - df, 0.0)
 
     return local_lax_friedrichs
 
@@ -117,6 +134,7 @@ def hj_pass(W, dx, dt, levels, inflow, law, flux):
     last = LANES - levels  # the lane of the last level
     row, right, K = np.zeros(LANES + 1), np.zeros(LANES), np.ones(LANES)
     d_right, df_right, fastest = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+    K_right = np.ones(LANES)
     rows = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)  # f, f' and f at the mean, where they are read
     p = np.zeros(LANES)
     right[LANES - 1] = W[n]
@@ -127,12 +145,15 @@ def hj_pass(W, dx, dt, levels, inflow, law, flux):
         starts = step % 2 == 0 and start >= last
         if starts:
             K[start], fastest[start] = 1.0, 0.0
+            K_right[start] = 1.0
             d_right[start] = right[start] - row[start + 1]
         at_left = step >= n and (step - n) % 2 == 0
         if at_left:
             height = right[stop] - dt * inflow
             grown += dt * (K[stop] - 1.0)
             speed_met = max(speed_met, fastest[stop])
+            if looks_ahead(flux):  # viscosity can carry q to the left end, where it meets a critical slope
+                speed_met = max(speed_met, K[stop] * max(slope_at_zero(law), df_right[stop]))
         if is_table(law):
             for l in range(LANES):
                 p[l] = 1.0 + (right[l] - row[l + 1]) * per_dx
@@ -149,10 +170,14 @@ def hj_pass(W, dx, dt, levels, inflow, law, flux):
             d = here - left
             z, df, F, speed = node_flux(flux, law, l, K[l], d, d_right[l], df_right[l], dx, rows)
             row[l] = here - ratio * F
+            K_left = K[l] * growth(z)
+            if is_local(flux):
+                speed *= max(max(K_left, K_right[l]), K[l])
+                K_right[l] = K[l]
             if looks_ahead(flux):
                 d_right[l], df_right[l] = d, df
             fastest[l] = max(fastest[l], speed)
-            K[l] *= growth(z)
+            K[l] = K_left
         if at_left:
             row[stop] = height
         done = n - step + 2 * (levels - 1)

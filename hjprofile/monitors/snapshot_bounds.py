@@ -1,0 +1,50 @@
+"""Bounds and budgets of a method that knows its own volume, judged at the saved times."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from hjprofile.problem.grid import Grid
+from hjprofile.solvers.run import Verdict
+
+
+class SnapshotBounds:
+    """The budgets, the minimum principle and L1 decay of `BoundsMonitor`.
+
+    `allowed` holds an allowance for each bound, and what it is; allowances grow with time as 1 + t. `least` is inf q of
+    the data, if it is below the least mean of a cell.
+    """
+
+    def __init__(
+        self, grid: Grid, mass: float, volume: float, allowed: Mapping[str, tuple[float, str]], least: float = np.inf
+    ):
+        self.grid, self.mass, self.first, self.allowed, self.least = grid, mass, volume, allowed, least
+        self.bounds: dict[str, Verdict] = {}
+        self.norm, self.floor, self.cancelled = np.inf, 0.0, 0.0
+        self.eroded_volume = self.budget_error = 0.0
+
+    def observe(self, t: float, W: np.ndarray, volume: float, growth: float, outflow: float) -> None:
+        mass = np.diff(W)
+        norm, least = float(np.abs(mass).sum()), float(mass.min() / self.grid.dx)
+        # in a cell where q changes its sign the parts of its mass cancel
+        turns = mass[:-1] * mass[1:] < 0.0
+        self.cancelled = max(self.cancelled, 2.0 * float((np.abs(mass[:-1]) + np.abs(mass[1:]))[turns].sum()))
+        if np.isinf(self.norm):
+            self.norm, self.floor = norm, min(least, self.least, 0.0)
+        self.eroded_volume = self.first - volume
+        off = abs(self.eroded_volume - growth)
+        self.budget_error = max(self.budget_error, off)
+        for name, excess in (
+            ("mass_budget", float(W[-1]) - self.mass + outflow),
+            ("volume_budget", off),
+            ("minimum_principle", max(self.floor - least, 0.0)),
+            ("l1_decay", max(norm - self.norm - self.cancelled, 0.0)),
+        ):
+            allowed, allowance = self.allowed[name]
+            margin = 1.0 - abs(excess) / (allowed * (1.0 + t))
+            if name not in self.bounds or margin < self.bounds[name].worst_margin:
+                x = float(self.grid.centres[np.argmin(mass)]) if name == "minimum_principle" else np.nan
+                self.bounds[name] = Verdict(margin >= 0.0, margin, float(t), x, allowance)
+        self.norm = min(self.norm, norm)
