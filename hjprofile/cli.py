@@ -159,6 +159,32 @@ def chart(*case: str, out: Out = None) -> None:
 
 
 @app.command
+def stability(case: str, /, *, out: Out = None) -> None:
+    """Scan where each method on a grid holds and where it fails, on one case.
+
+    Writes stability.csv and stability.png.
+    """
+    from hjprofile.evidence.stability import Trial, measured_limit
+    from hjprofile.evidence.stability import stability as scan
+    from hjprofile.output.plots import stability_picture
+    from hjprofile.output.store import open_folder, to_csv, write_whole
+
+    folder, (loaded,) = _cases((case,), out)
+    open_folder(folder)
+    with _Progress(f"trying {loaded.name}") as progress:
+        trials = scan(loaded.name, loaded.problem, loaded.grid, progress)
+    print(f"{loaded.name}: {len(trials)} trials. CFL number up to which a method holds (by theory):")
+    for method, theory in {t.method: t.theory for t in trials if t.parameter == "cfl"}.items():
+        low, high = measured_limit(trials, method)
+        limit = f"{low:.4g} to {high:.4g}" if high < float("inf") else f"all up to {low:.4g}"
+        print(f"  {method:22} {limit:18} ({theory:.4g})")
+    rows = [t._replace(theory=None) if t.theory != t.theory else t for t in trials]
+    write_whole(folder / "stability.csv", to_csv(Trial._fields, rows))
+    write_whole(folder / "stability.png", stability_picture(trials))
+    print(f"written to {folder}: stability.csv, stability.png")
+
+
+@app.command
 def plot(result: Path, /, *, out: Into = None) -> None:
     """Draw the pictures of a result folder again, into it or into another folder."""
     from hjprofile.output.plots import pictures

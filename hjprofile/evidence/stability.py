@@ -23,7 +23,7 @@ from hjprofile.solvers.march import Breakdown, Scheme
 from hjprofile.solvers.run import Array, State
 
 CELLS = 400
-STEPS = 20000  # at most in a trial
+STEPS = 6000  # at most in a trial
 SAWTOOTH = 1e-8  # well above rounding, and below what any bound or picture can show
 OSCILLATION = 0.02  # of 1 + TV(q), beyond what the equation lets it grow
 CFL = (0.2, 0.4, 0.6, 0.8, 0.9, 1.0, 1.1, 1.2, 1.4, 1.6, 1.8, 2.0, 2.25, 2.5, 2.75, 3.0)

@@ -15,6 +15,7 @@ from matplotlib.colors import Normalize, TwoSlopeNorm
 from matplotlib.figure import Figure
 
 from hjprofile.evidence.chart import Point, Reference, pareto
+from hjprofile.evidence.stability import FAILS, HOLDS, LOSES, OSCILLATES, Trial
 from hjprofile.solvers.run import Array, Run
 
 LINES = 9  # profiles that are drawn; more hide each other
@@ -75,6 +76,82 @@ def draw_chart(charts: Mapping[str, tuple[Sequence[Point], Reference]]) -> Figur
         row[1].set_title(against, loc="right", fontsize=8, color="0.35")
     handles, labels = rows[0][1].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right upper", fontsize=8, frameon=False)
+    return figure
+
+
+_OUTCOMES = {HOLDS: ("#0072B2", "o"), LOSES: ("#E69F00", "s"), OSCILLATES: ("#CC79A7", "D"), FAILS: ("#000000", "X")}
+_AXES = {  # parameter -> title, logarithmic
+    "cfl": ("CFL number Δt max(K f')/Δx", False),
+    "viscosity": ("viscosity α / max(K f') at CFL number ...", False),
+    "refresh": ("steps that share a K", True),
+    "reconstruction": ("edge values (K and fluxes upwind)", False),
+    "least 1 + q": ("least 1 + q, in a hollow", True),
+    "largest |ln K|": ("largest |ln K| = |∫ f dx|", True),
+    "left end": ("left end of the grid", False),
+}
+
+
+def stability_picture(trials: Sequence[Trial]) -> bytes:
+    """PNG of `draw_stability`."""
+    return _png(draw_stability(trials))
+
+
+def draw_stability(trials: Sequence[Trial]) -> Figure:
+    """A panel for each parameter, a row for each method, a mark for each outcome; theory's limit as a line."""
+    panels: dict[str, list[Trial]] = {}
+    for trial in trials:
+        panels.setdefault(trial.parameter.split(" at cfl ")[0], []).append(trial)
+
+    def row_of(trial: Trial) -> str:
+        return trial.parameter.split(" at cfl ")[-1] if " at cfl " in trial.parameter else trial.method
+
+    figure = _figure(11.0, 10.5)
+    places = figure.subplot_mosaic(
+        [["cfl", "viscosity"], ["least 1 + q", "largest |ln K|"], ["refresh", "reconstruction"], ["left end", "key"]],
+        height_ratios=[7, 7, 2.2, 2.2],
+    )
+    for parameter, mine in panels.items():
+        axes, rows = places[parameter], list(dict.fromkeys(map(row_of, mine)))
+        title, logarithmic = _AXES[parameter]
+        words = [t.value for t in mine if isinstance(t.value, str)]
+        for outcome, (colour, marker) in _OUTCOMES.items():
+            at = [
+                (words.index(t.value) if words else t.value, rows.index(row_of(t)))
+                for t in mine
+                if t.outcome == outcome
+            ]
+            if at:
+                axes.plot(*np.array(at, dtype=float).T, marker, color=colour, ms=5.5, mew=0, clip_on=False)
+        for trial in mine:
+            y = rows.index(row_of(trial))
+            if parameter == "viscosity":  # monotone between max(K f') and Δx/Δt
+                axes.plot([1.0, 1.0], [y - 0.4, y + 0.4], color="0.3", lw=1.2)
+                axes.plot([1.0 / float(row_of(trial))] * 2, [y - 0.4, y + 0.4], color="0.3", lw=1.2, ls=":")
+            elif np.isfinite(trial.theory):
+                axes.plot([trial.theory] * 2, [y - 0.4, y + 0.4], color="0.3", lw=1.2)
+        if logarithmic:
+            axes.set_xscale("log")
+        if words:
+            axes.set_xticks(range(len(words)), words)
+            axes.set_xlim(-0.5, len(words) - 0.5)
+        axes.set_yticks(range(len(rows)), rows)
+        axes.set_ylim(len(rows) - 0.4, -0.6)
+        axes.set_title(title, fontsize=10, loc="left")
+        axes.grid(axis="x", alpha=0.25, lw=0.5)
+    key = places["key"]
+    key.axis("off")
+    names = {
+        HOLDS: "holds",
+        LOSES: "loses a bound",
+        OSCILLATES: "oscillates",
+        FAILS: "fails: q reaches -1, or no progress",
+    }
+    for outcome, (colour, marker) in _OUTCOMES.items():
+        key.plot([], [], marker, color=colour, ms=6, mew=0, label=names[outcome])
+    key.plot([], [], color="0.3", lw=1.2, label="limit by theory (for any data; lax-friedrichs: 2/3 on rough ones)")
+    key.plot([], [], color="0.3", lw=1.2, ls=":", label="α = Δx/Δt")
+    key.legend(loc="center", fontsize=9, frameon=False)
+    figure.suptitle(f"Where methods hold and where they fail: {trials[0].case}", fontsize=12, x=0.01, ha="left")
     return figure
 
 

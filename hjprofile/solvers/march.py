@@ -151,7 +151,7 @@ class _Recorder:
 
     @property
     def kept(self) -> Array:
-        return np.concatenate([column[: self.rows].reshape(self.rows, -1) for column in self.columns], axis=1)
+        return np.hstack([column[: self.rows].reshape(self.rows, column[0].size) for column in self.columns])
 
     @kept.setter
     def kept(self, rows: Array) -> None:

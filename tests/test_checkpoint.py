@@ -1,0 +1,209 @@
+"""A run that is stopped goes on bit for bit; whatever is wrong with a checkpoint is told in one sentence."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomli_w
+
+import hjprofile as hj
+from hjprofile.output.checkpoint import NAME, Checkpoint
+from hjprofile.problem.case import parse_case
+from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS, solve_case
+
+CONTENT = {
+    "title": "Two kinks",
+    "erosion": {"law": "log"},
+    "profile": {"kind": "kinks", "positions": [-7.0, -5.0], "amplitudes": [0.4, 1.2]},
+    "domain": {"left": -10.0, "cells": 400},
+    "time": {"end": 4.0, "snapshots": 7},
+    "output": {"vtk": False, "plots": False, "checkpoint": 1e-9},
+}
+
+
+def case_of(method, **changes):
+    content = {section: dict(v) if isinstance(v, dict) else v for section, v in CONTENT.items()}
+    content["solver"] = {"method": method}
+    for key, value in changes.items():
+        section, name = key.split("__")
+        content.setdefault(section, {})[name] = value
+    return parse_case(content, "scene", "scene.toml", Path())
+
+
+class Stop:
+    """Asks a checkpoint to stop after so many lots of steps."""
+
+    def __init__(self, keeper, lots):
+        self.keeper, self.left = keeper, lots
+
+    def __call__(self, fraction):
+        self.left -= 1
+        if self.left == 0:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+
+def fingerprint(run):
+    arrays = [getattr(run, name).tobytes() for name in ("time", "u", "q", "K")]
+    return [*arrays, str(run.kinks), str(run.events), str(run.bounds), run.steps, run.step_range, run.status]
+
+
+@pytest.mark.parametrize("method", [*HJ_METHODS, *CONSERVATIVE_METHODS])
+def test_every_method_goes_on_bit_for_bit(method, tmp_path):
+    case = case_of(method)
+    whole = fingerprint(solve_case(case))
+    for lots in (1, 5, 12):
+        keeper = Checkpoint(tmp_path, 1e9, resume=False)
+        with pytest.raises(hj.RunError, match=r"interrupted at t = .*--resume goes on from there"):
+            solve_case(case, Stop(keeper, lots), keeper=keeper)
+        again = Checkpoint(tmp_path, 1e-9, resume=True)
+        assert fingerprint(solve_case(case, keeper=again)) == whole
+        assert again.resumed_at >= 0.0
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL  # as it was
+
+
+def kept(folder, case):
+    """A checkpoint of an interrupted run."""
+    keeper = Checkpoint(folder, 1e9, resume=False)
+    with pytest.raises(hj.RunError):
+        solve_case(case, Stop(keeper, 6), keeper=keeper)
+    return folder / NAME
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"domain__cells": 401}, "domain.cells = 400 there, 401 here"),
+        ({"time__end": 5.0}, "time.end = 4.0 there, 5.0 here"),
+        ({"solver__method": "eno2"}, "solver.method = godunov there, eno2 here"),
+        ({"erosion__law": "rational"}, "erosion.law = log there, rational here"),
+    ],
+)
+def test_a_checkpoint_of_another_run_is_refused(change, words, tmp_path):
+    kept(tmp_path, case_of("godunov"))
+    with pytest.raises(hj.InputError, match="is of another run: " + words):
+        solve_case(case_of("godunov", **change), keeper=Checkpoint(tmp_path, 1.0, resume=True))
+
+
+def test_a_law_that_was_edited_is_another_run(in_tmp):
+    law = {"law": "python", "file": "law.py", "function": "f"}
+    Path("law.py").write_text("def f(q):\n    return q / (1 + q)\n")
+    kept(in_tmp, parse_case(CONTENT | {"erosion": law}, "scene", "scene.toml", in_tmp))
+    Path("law.py").write_text("def f(q):\n    return 2 * q / (1 + q)\n")
+    edited = parse_case(CONTENT | {"erosion": law}, "scene", "scene.toml", in_tmp)
+    with pytest.raises(hj.InputError, match="the data that the case names have changed"):
+        solve_case(edited, keeper=Checkpoint(in_tmp, 1.0, resume=True))
+
+
+def test_damaged_checkpoints_are_refused_in_a_sentence(tmp_path):
+    """Bytes changed, cut off, added: another state must not come of it, nor anything but InputError."""
+    case = case_of("godunov")
+    path = kept(tmp_path, case)
+    good, rng = path.read_bytes(), random.Random(7)
+    whole = fingerprint(solve_case(case))
+    outcomes = set()
+    for trial in range(120):
+        data = bytearray(good)
+        kind = trial % 3
+        if kind == 0:
+            for _ in range(rng.randint(1, 8)):
+                data[rng.randrange(len(data))] = rng.randrange(256)
+        elif kind == 1:
+            del data[rng.randrange(len(data)) :]
+        else:
+            at = rng.randrange(len(data))
+            data[at : at + rng.randint(0, 50)] = rng.randbytes(rng.randint(1, 50))
+        path.write_bytes(data)
+        try:
+            run = solve_case(case, keeper=Checkpoint(tmp_path, 1e9, resume=True))
+        except hj.InputError as error:
+            assert "\n" not in str(error) and str(path) in str(error)
+            outcomes.add("refused")
+        else:  # a bit that nobody reads
+            assert fingerprint(run) == whole
+            outcomes.add("as good")
+        path.write_bytes(good)
+    assert "refused" in outcomes
+
+
+def test_a_checkpoint_holds_no_code(tmp_path):
+    path = kept(tmp_path, case_of("godunov"))
+    np.savez(path, identity=np.array([object()], dtype=object))
+    with pytest.raises(hj.InputError, match="is damaged"):
+        solve_case(case_of("godunov"), keeper=Checkpoint(tmp_path, 1.0, resume=True))
+
+
+def run_once(folder, *options, kill_after=None, how=signal.SIGKILL):
+    command = [sys.executable, "-m", "hjprofile", "run", "scene.toml", "--out", "out", *options]
+    process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    if kill_after is not None:
+        time.sleep(kill_after)
+        process.send_signal(how)
+    out, err = process.communicate(timeout=120)
+    return process.returncode, out.decode(), err.decode()
+
+
+def files_of(folder):
+    """Name -> bytes, the clock's readings left out."""
+    found = {}
+    for path in sorted((folder / "out").rglob("*")):
+        if path.is_file() and not path.name.startswith("."):
+            found[path.relative_to(folder).as_posix()] = path.read_bytes()
+    summary = json.loads(found["out/summary.json"])
+    for name in ("wall_seconds", "cell_updates_per_second"):
+        summary.pop(name)
+    return found | {"out/summary.json": summary}
+
+
+def killed_again_and_again(tmp_path, kills, seed):
+    """Runs that are killed at random moments and resumed until they end, until so many have been killed."""
+    content = CONTENT | {"solver": {"method": "weno5"}, "domain": {"left": -10.0, "cells": 1500}}
+    content |= {"output": {"vtk": True, "plots": False, "checkpoint": 0.02}, "time": {"end": 6.0, "snapshots": 4}}
+    for name in ("whole", "killed"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "scene.toml").write_text(tomli_w.dumps(content))
+    started = time.monotonic()
+    assert run_once(tmp_path / "whole")[0] == 0
+    seconds = time.monotonic() - started
+    expected, rng, killed, resumed = files_of(tmp_path / "whole"), random.Random(seed), 0, 0
+    while killed < kills:
+        code, out, err = run_once(tmp_path / "killed", "--resume", kill_after=rng.uniform(0.0, 1.1 * seconds))
+        if code == -signal.SIGKILL:
+            killed += 1
+            continue
+        assert code == 0, err
+        resumed += "from the checkpoint at t =" in out
+        assert files_of(tmp_path / "killed") == expected
+    code, out, err = run_once(tmp_path / "killed", "--resume")
+    assert code == 0 and files_of(tmp_path / "killed") == expected
+    assert not list((tmp_path / "killed" / "out").glob(f"{NAME}*"))
+    return resumed
+
+
+def test_kill_and_resume(tmp_path):
+    killed_again_and_again(tmp_path, 4, seed=1)
+
+
+@pytest.mark.slow
+def test_two_hundred_kills_and_resumes(tmp_path):
+    assert killed_again_and_again(tmp_path, 200, seed=2) > 10
+
+
+def test_ctrl_c_saves_and_says_so(tmp_path):
+    content = CONTENT | {"solver": {"method": "weno5"}, "domain": {"left": -10.0, "cells": 20000}}
+    content |= {"output": {"vtk": False, "plots": False}}  # a minute between checkpoints
+    (tmp_path / "scene.toml").write_text(tomli_w.dumps(content))
+    command = [sys.executable, "-m", "hjprofile", "run", "scene.toml", "--out", "out"]
+    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE) as process:
+        time.sleep(4.0)  # it takes a minute
+        process.send_signal(signal.SIGINT)
+        err = process.stderr.read().decode()
+    assert process.returncode == 1
+    assert err.startswith("hjprofile: interrupted at t = ") and f"out/{NAME}" in err and "--resume" in err
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [NAME]
