@@ -217,6 +217,11 @@ BAD |= {
         "profile",
         ["file = "],
     ),
+    "survey without end": (
+        {"profile": {"kind": "survey"} | PROFILES["survey"] | {"file": "/dev/zero"}},
+        "profile",
+        ["file = '/dev/zero' does not exist, or is not a file"],
+    ),
     "survey with NUL": ({"profile": {"kind": "survey"} | PROFILES["survey"] | {"file": "a\0"}}, "profile", ["file = "]),
     "survey descends": (
         {"profile": {"kind": "survey", "file": "survey.csv", "critical_slope": 0.5, "length": 2.0}},
@@ -251,4 +256,12 @@ NOT_TOML = {  # id -> (bytes of the file, words)
     "nested": (b"title = " + b"[" * 20_000, ["not valid TOML"]),
     "thousands of digits": (b"title = " + b"9" * 5000, ["not valid TOML"]),
     "empty": (b"", ["law is missing"]),
+    "hexadecimal": (b"title = 0x" + b"f" * 5000, ["title = (too long to be shown) must be a string"]),
+    "hexadecimal count": (
+        b"time.end = 1.0\nerosion.law = 'log'\nprofile = {kind = 'kinks', positions = [-1], amplitudes = [1]}\n"
+        b"domain.left = -6.0\ndomain.cells = 0x" + b"f" * 5000,
+        ["[domain] cells = (too long to be shown) must be a whole number"],
+    ),
+    "dotted": (b"title" + b".a" * 5000 + b" = 1", ["title = (too long to be shown) must be a string"]),
+    "line break in a key": (b'"a\\nb" = 1', ["'a\\nb' is not a known key (allowed: title"]),
 }

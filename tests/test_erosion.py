@@ -7,8 +7,6 @@ from decimal import Decimal, localcontext
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from hjprofile.errors import InputError
@@ -305,6 +303,8 @@ ATTACKS = {
     "comment": "# q",
     "newline": "q/(1+q)\nopen('pwned', 'w')",
     "unicode name": "ｑ.real",
+    "keyword after a number": "1or q",
+    "unknown escape": "'\\d'",
 }
 # arithmetic all the same, and refused for its values
 ARITHMETIC = {"complex root", "complex root made real", "division by zero", "constant division by zero", "nested calls"}
@@ -312,10 +312,11 @@ ARITHMETIC |= {"huge power", "huge power of q", "huge power, negative", "powers"
 
 
 @pytest.mark.parametrize("name", ATTACKS)
-def test_attacks_are_refused_and_never_run(name, in_tmp):
+def test_attacks_are_refused_and_never_run(name, in_tmp, recwarn):
     started = time.perf_counter()
     with pytest.raises(InputError) as refused:
         expression(ATTACKS[name])
+    assert list(recwarn) == []  # Python has some of the syntax, which would be further lines on stderr
     words = (
         "at most 1000 are allowed" if name == "very long" else "allowed are numbers, q, + - * / ** and the functions"
     )
@@ -342,48 +343,3 @@ def test_expressions_mean_what_they_say(text, equal):
     np.testing.assert_allclose(law.f(q), equal(q), rtol=1e-14)
     assert law.table == {"law": "expression", "expression": text.strip()}
     assert law.f(0.4) == pytest.approx(equal(0.4), rel=1e-14)
-
-
-TOKENS = [
-    *"q+-*/(),.'[]{}:=#@_j\\90 \n",
-    "1",
-    "2.5",
-    "1e9",
-    "**",
-    "exp(",
-    "log(",
-    "log1p(",
-    "sqrt(",
-    "expm1(",
-    "/(1+q)",
-    "lambda",
-]
-NUMBERS = st.one_of(st.integers(0, 9), st.floats(0, 1e3), st.sampled_from([1e-300, 1e300])).map(str)
-FORMULAS = st.recursive(
-    NUMBERS | st.just("q") | st.just("(1+q)"),
-    lambda part: st.one_of(
-        st.tuples(part, st.sampled_from(["+", "-", "*", "/", "**"]), part).map("({0[0]}{0[1]}{0[2]})".format),
-        st.tuples(st.sampled_from(["exp", "log", "log1p", "expm1", "sqrt", "-"]), part).map("{0[0]}({0[1]})".format),
-    ),
-    max_leaves=8,
-)
-TEXTS = st.one_of(
-    st.text(max_size=40),
-    st.lists(st.sampled_from(TOKENS), max_size=14).map("".join),
-    FORMULAS,
-    FORMULAS.map("log(1+q) + 1e-9*q*({})".format),
-)
-
-
-@settings(max_examples=300, deadline=None)
-@given(TEXTS)
-@example("log(1+q)")
-def test_any_text_is_a_law_or_bad_input(text):
-    try:
-        law = expression(text)
-    except InputError:
-        return
-    assert abs(float(law.f(0.0))) <= 1e-12
-    q = np.array([-0.8731, 0.0, 1.2345, 31.734])  # a hole at a single round number, as of 0/(1-q), cannot be seen
-    assert np.all(np.diff(law.f(q)) > 0)
-    assert np.all(np.diff(law.derivative(q)) < 0)

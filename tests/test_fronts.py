@@ -253,6 +253,21 @@ def test_what_is_refused_and_what_is_told():
         hj.track_fronts(hj.Problem(hj.rational(), hj.profile(lambda x: x), end=1.0))
 
 
+@pytest.mark.parametrize("m", [5.0, 30.0])
+def test_a_slope_below_which_K_is_no_number_is_refused_at_once(m):
+    """Without that the fronts' steps would be of no length, or there would be 1e15 of them."""
+    problem = hj.Problem(hj.power(m), hj.steps([-1.0, -0.5], [-0.93]), end=0.1, snapshots=[0.1])
+    with pytest.raises(hj.RunError, match="front tracking cannot start: K spans more than 300 decades"):
+        hj.track_fronts(problem, hj.Grid(-3.0, 60))
+
+
+def test_steps_that_lead_nowhere_end_the_run():
+    """K is 1e86 below the gentle slope, and so are the speeds: the run would never arrive."""
+    problem = hj.Problem(hj.power(5.0), hj.steps([-1.0, -0.99], [-0.9]), end=0.1, snapshots=[0.1])
+    with pytest.raises(hj.RunError, match=r"stopped before t = 0\.1: .* or K too large"):
+        hj.track_fronts(problem, hj.Grid(-3.0, 60))
+
+
 def test_flat_slope_and_a_kink_at_the_very_top():
     for profile in (hj.steps([-2.0, -1.0], [0.0]), hj.kinks([0.0], [1.0])):
         run = hj.track_fronts(hj.Problem(hj.log(), profile, end=1.0, snapshots=3), hj.Grid(-3.0, 60))

@@ -2,6 +2,7 @@
 
 import math
 import re
+import tracemalloc
 from itertools import pairwise
 
 import numpy as np
@@ -81,6 +82,15 @@ def test_means_of_kinks(name):
     found = kinks(positions, amplitudes).q_means(grid, law)
     # R' of a law given as a difference is good to 1e-12
     np.testing.assert_allclose(found, means_by_quadrature(q, positions, grid), rtol=0, atol=2e-12)
+
+
+def test_many_bumps_take_little_memory():
+    """The sum is taken bump by bump: a table of all places and bumps would grow with the square of their number."""
+    tracemalloc.start()
+    bumps(np.full(60, 0.1), np.linspace(-8.0, -4.0, 60), np.full(60, 0.3)).q_means(GRID, rational())
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 10 * 8 * 60 * 2001  # ten numbers for each place that is looked at; the table held 3 * 60
 
 
 def test_means_of_bumps():
@@ -413,7 +423,7 @@ def test_bad_surveys(tmp_path, name, repair):
 
 @pytest.mark.parametrize(
     ("name", "words"),
-    [("absent.csv", "does not exist"), (".", "cannot be read as CSV"), ("nul\0.csv", "cannot be read as CSV")],
+    [("absent.csv", "does not exist"), (".", "is not a file"), ("nul\0.csv", "is not a file")],
 )
 def test_surveys_that_are_no_files(tmp_path, name, words):
     with pytest.raises(InputError, match=words) as refused:

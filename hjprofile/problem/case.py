@@ -70,13 +70,22 @@ class _Section:
         try:
             return kind(value)
         except (TypeError, ValueError):
-            raise self.error(f"{key} = {value!r} must be {kind.__doc__}") from None
+            raise self.error(f"{key} = {_shown(value)} must be {kind.__doc__}") from None
 
     def finish(self) -> None:
         for key in self.values:
             close = difflib.get_close_matches(key, self.known, 1)
             hint = f"; did you mean {close[0]!r}?" if close else ""
-            raise self.error(f"{key} is not a known key{hint} (allowed: {', '.join(self.known)})")
+            written = key if key.isprintable() else repr(key)  # a line break, an escape sequence of the terminal
+            raise self.error(f"{written} is not a known key{hint} (allowed: {', '.join(self.known)})")
+
+
+def _shown(value: Any) -> str:
+    """The value as a message shows it."""
+    try:
+        return repr(value)
+    except (ValueError, RecursionError):  # a hexadecimal number of thousands of digits, a dotted key of as many parts
+        return "(too long to be shown)"
 
 
 def _number(value: Any) -> float:
@@ -90,6 +99,7 @@ def _whole(value: Any) -> int:
     """a whole number"""
     if isinstance(value, bool) or not isinstance(value, int):
         raise TypeError
+    str(value)  # Python writes no number of more than 4300 digits, nor could a message
     return value
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -187,7 +188,9 @@ def expression(text: str) -> ErosionLaw:
     if len(text) > 1000:
         raise InputError(f"expression is {len(text)} characters long; at most 1000 are allowed")
     try:
-        tree = ast.parse(text.strip(), mode="eval")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of '1or q' and the like, none of which is on the list
+            tree = ast.parse(text.strip(), mode="eval")
         called = {id(n.func) for n in ast.walk(tree) if isinstance(n, ast.Call)}
         for node in ast.walk(tree):
             fine = isinstance(node, _NODES)
@@ -244,14 +247,19 @@ def from_file(path: Path, function: str, file: str | None = None) -> ErosionLaw:
     return erosion_law(f, table={"law": "python", "file": file or str(path), "function": function})
 
 
-def load_function(path: Path, function: str) -> Function:
-    """The function of that name in a Python file. Running the file runs its author's code."""
+def require_file(path: Path) -> None:
+    """Raises InputError unless `path` is a file; a folder has nothing to read, a pipe or a device may have no end."""
     try:
         there = path.is_file()
     except OSError as error:  # a name too long, a folder that may not be entered
         raise InputError(f"file = {str(path)!r} cannot be read: {error.strerror}") from None
     if not there:
-        raise InputError(f"file = {str(path)!r} does not exist")
+        raise InputError(f"file = {str(path)!r} does not exist, or is not a file")
+
+
+def load_function(path: Path, function: str) -> Function:
+    """The function of that name in a Python file. Running the file runs its author's code."""
+    require_file(path)
     spec = importlib.util.spec_from_file_location(f"hjprofile_user_{path.stem}", path)
     if spec is None or spec.loader is None:
         raise InputError(f"file = {str(path)!r} is not a Python file (.py)")

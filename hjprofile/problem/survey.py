@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hjprofile.errors import InputError
-from hjprofile.problem.erosion import Array
+from hjprofile.problem.erosion import Array, require_file
 from hjprofile.problem.profiles import Points, Profile, Units
 
 REPAIR_SLOPE = 0.05  # least slope that a repaired survey keeps, as a fraction of the critical slope
@@ -71,12 +71,11 @@ def survey(
 
 def _read_survey(path: Path) -> tuple[Array, Array, list[int]]:
     """x, height and the row numbers (the header is row 1). Raises InputError naming the row."""
+    require_file(path)
     try:
         with open(path, newline="", encoding="utf-8-sig") as stream:
             lines = [(n, row) for n, row in enumerate(csv.reader(stream), start=1) if row and row[0].strip()[:1] != "#"]
-    except FileNotFoundError:
-        raise InputError(f"file = {str(path)!r} does not exist") from None
-    except (OSError, ValueError, csv.Error) as error:  # ValueError: bytes that are not UTF-8, a NUL in the name
+    except (OSError, ValueError, csv.Error) as error:  # ValueError: bytes that are not UTF-8
         raise InputError(f"file = {str(path)!r} cannot be read as CSV: {error}") from None
     if not lines or [c.strip() for c in lines[0][1]] != ["x", "height"]:
         found = ",".join(lines[0][1]) if lines else "nothing"

@@ -429,6 +429,7 @@ def _march(solver: _Solver, problem: Problem, grid: Grid, progress: Callable[[fl
     return _Outcome(W, K, kinks, solver.events, watch, outflow, solver.steps, seconds, status)
 
 
+@np.errstate(over="ignore")  # R is 0 where f overflows, far from the r that is looked for
 def _table(problem: Problem, panels: Panels) -> LawTable:
     """The law over all that r may become: dead labels go beyond what is alive."""
     from scipy.optimize import brentq

@@ -27,6 +27,7 @@ from hjprofile.solvers.kernels.law import LawTable, law_q_f, start_pieces
 from hjprofile.solvers.run import Array, Event, KinkRecord, Run
 
 REACH = 4.0  # spacings that the fastest front may cross in a step: then time adds little to the error of space
+FOLDS = 700.0  # e-folds of K, which no number holds beyond
 FAN = 0.25  # most that a front of a fan may change ln R: coarser ones, where q changes its sign, run off towards q = -1
 NEAR = 0.05  # longest stretch for a Taylor series: its error (0.05)^4/24 is far below that of a front so far away
 TOLERANCE = 1e-13  # of one step of the exact integration
@@ -77,7 +78,13 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts,
         cuts = _subdivide(marks, pieces)
         W = profile.W(cuts, law)
         # K changes e-fold over a length 1/|f|, which is short where the slope is gentle
-        folds = np.diff(cuts) * np.abs(law.f(np.diff(W) / np.diff(cuts)))
+        folds = np.diff(cuts) * law.f(np.diff(W) / np.diff(cuts))
+        if not np.cumsum(-folds[::-1]).max() < FOLDS:  # nor would there be memory for the cuts
+            raise RunError(
+                "front tracking cannot start: K spans more than 300 decades, as q is too near -1 over too long a way; "
+                "use a shorter domain, or the method godunov"
+            )
+        folds = np.abs(folds)
         cuts = _subdivide(cuts, np.maximum(np.ceil(2.0 * folds).astype(int), 1))[:-1]
     ends = np.append(cuts, 0.0)
     W = profile.W(ends, law)
@@ -165,8 +172,8 @@ class _Tracker:
         self.strong = KINK * float(np.median(small)) if small.size else np.inf
         self.events: list[Event] = []
 
-    def advance(self, end: float) -> None:
-        """To the time `end`; merges, births and exits are noted."""
+    def advance(self, end: float) -> bool:
+        """To the time `end`, if steps are not too small for that; merges, births and exits are noted."""
         arrays = self.x, self.jump, self.label, self.since, self.smooth
         if self.exact:
             from scipy.integrate import DOP853
@@ -182,9 +189,10 @@ class _Tracker:
                 self.strong, self.work, self.head, self.log, self.totals,
             )  # fmt: skip
         self.t = end
-        for t, kink, into, x in self.log[:logged].tolist():
+        for t, kink, into, x in self.log[: max(logged, 0)].tolist():
             name = "birth" if into == 0 else "exit" if into < 0 else "merge"
             self.events.append(Event(t, name, int(kink), int(into) if into > 0 else None, x))
+        return bool(logged >= 0)
 
     def sweep(self) -> tuple[Array, Array, Array, Array]:
         """r on the left and on the right, [f]/[q] and K of the fronts."""
@@ -269,10 +277,12 @@ def track_fronts(
     seconds, status = 0.0, "done"
     for target in np.unique(np.append(kept, problem.end)):
         started = time.perf_counter()
-        tracker.advance(float(target))
+        arrived = tracker.advance(float(target))
         seconds += time.perf_counter() - started
         W, K = tracker.read(grid.nodes)
         broken = _first_fault(W, K, grid)
+        if broken is None and not arrived:
+            broken = int(np.argmax(K))
         if broken is not None:
             status = (
                 f"stopped before t = {target:.6g}: front tracking loses the slope near x = {grid.nodes[broken]:.6g}, "
