@@ -7,6 +7,8 @@ import hjprofile as hj
 from hjprofile.monitors.bounds import BoundsMonitor
 from hjprofile.problem.profiles import steps
 from hjprofile.solvers import hj as hj_form
+from hjprofile.solvers.kernels import watch
+from hjprofile.solvers.kernels.watch import frozen_step
 from hjprofile.solvers.methods import HJ_METHODS, PROMISES
 
 LAWS = {"rational": hj.rational(), "log": hj.log(), "power": hj.power(2.0)}
@@ -60,9 +62,97 @@ def test_promises_on_random_data(law, method, watchful):
         check_promises(seed, law, method)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("method", FIRST_ORDER_METHODS)
+@pytest.mark.slow  # the other form takes the same steps, see test_consistency.py
+@pytest.mark.parametrize("method", hj_form.FLUXES)
 @pytest.mark.parametrize("law", LAWS)
 def test_promises_on_5000_random_data(law, method, watchful):
     for seed in range(1000, 1000 + 5000 // len(LAWS) + 1):
         check_promises(seed, law, method)
+
+
+def shifted(cells, by):
+    """Adds mass to some cells, and takes it from the next."""
+
+    def change(scheme):
+        for cell in cells:
+            scheme.W[cell] += by * scheme.grid.dx
+
+    return change
+
+
+def saw(scheme):
+    scheme.W[60:140:2] += 0.2 * scheme.grid.dx
+
+
+def lost_at_the_top(scheme):
+    scheme.outflow += 1e-6
+
+
+def lost_at_the_foot(scheme):
+    scheme.growth += 1e-6
+
+
+def spike(scheme):
+    """A cell is made steeper by 3, at the cost of the thirty next to it."""
+    scheme.W[115:146] += 3.0 * scheme.grid.dx * np.linspace(1.0, 0.0, 31)
+
+
+def longer_step(q, K, dx, dt, law, flux):
+    return frozen_step(q, K, dx, 6.0 * dt, law, flux)
+
+
+FAULTS = {  # what is broken -> the bound that must tell; a hollow keeps its sign, a bump its own
+    "mass_budget": ("godunov", 0.5, lost_at_the_top),
+    "volume_budget": ("telescoping", 0.5, lost_at_the_foot),
+    "minimum_principle": ("godunov", -0.5, shifted([120], -0.4)),
+    "signs": ("godunov", -0.5, shifted([120], 0.7)),
+    "l1_decay": ("godunov", 0.5, saw),
+    "factor_bounds": ("godunov", 0.5, shifted([158], 0.4)),
+    "upper_bound": ("godunov", 0.5, spike),
+    "tv_growth": ("godunov", 0.5, saw),
+    "flux_maximum": ("godunov", 0.5, None),
+    "flux_variation": ("godunov", 0.5, None),
+    "kruzkov": ("godunov", 0.5, None),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_each_monitor_fires(name, monkeypatch):
+    """Sound, every bound holds; with a fault, or too long a step with K frozen, this one does not."""
+    method, value, fault = FAULTS[name]
+    problem = hj.Problem(hj.rational(), steps([-3.0, -2.0, -1.0], [value, 0.3 * value]), end=0.3, snapshots=2)
+    assert hj.solve_hj(problem, hj.Grid(-4.0, 200), method).warnings == []
+    if fault:
+        advance, calls = hj_form.HamiltonJacobi.advance, []
+
+        def faulty(scheme, dt, steps, bound):
+            met = advance(scheme, dt, steps, bound)
+            calls.append(steps)
+            if len(calls) == 3:  # the first only compiles
+                fault(scheme)
+            return met
+
+        monkeypatch.setattr(hj_form.HamiltonJacobi, "advance", faulty)
+        monkeypatch.setattr(BoundsMonitor, "wants", lambda self, state: True)
+    else:
+        monkeypatch.setattr(watch, "frozen_step", longer_step)
+    run = hj.solve_hj(problem, hj.Grid(-4.0, 200), method)
+    assert not run.bounds[name].holds
+    verdict = run.bounds[name]
+    assert 0.0 < verdict.time <= 0.3 and verdict.worst_margin < 0.0
+    if name in ("minimum_principle", "signs"):
+        assert verdict.x == pytest.approx(-4.0 + 120 * 0.02, abs=0.1)  # where it was done
+    stopping = name in ("mass_budget", "volume_budget")
+    assert run.done != stopping
+    if stopping:
+        assert run.status.startswith("stopped at t = ") and f"{name} does not hold" in run.status
+
+
+def test_what_a_method_does_not_promise_is_not_watched():
+    problem = hj.Problem(hj.rational(), steps([-3.0, -2.0], [0.5]), end=0.3, snapshots=2)
+    everything = set(hj.solve_hj(problem, hj.Grid(-4.0, 100), "godunov").bounds)
+    assert everything == {name for name, kept in PROMISES["godunov"].items() if kept}
+    local = set(hj.solve_hj(problem, hj.Grid(-4.0, 100), "local-lax-friedrichs").bounds)
+    assert everything - local == {"flux_maximum", "flux_variation", "kruzkov"}
+    inflow = hj.Problem(hj.rational(), hj.steady(0.4), end=0.5)
+    assert set(hj.solve_hj(inflow, hj.Grid(-3.0, 100)).bounds) == {"mass_budget", "volume_budget", "minimum_principle"}

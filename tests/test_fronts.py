@@ -254,10 +254,10 @@ def test_what_is_refused_and_what_is_told():
 
 
 @pytest.mark.parametrize("m", [5.0, 30.0])
-def test_a_slope_below_which_K_is_no_number_is_refused_at_once(m):
+def test_a_slope_along_which_K_changes_too_often_is_refused_at_once(m):
     """Without that the fronts' steps would be of no length, or there would be 1e15 of them."""
     problem = hj.Problem(hj.power(m), hj.steps([-1.0, -0.5], [-0.93]), end=0.1, snapshots=[0.1])
-    with pytest.raises(hj.RunError, match="front tracking cannot start: K spans more than 300 decades"):
+    with pytest.raises(hj.RunError, match="front tracking cannot start: ln K changes by"):
         hj.track_fronts(problem, hj.Grid(-3.0, 60))
 
 

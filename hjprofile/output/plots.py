@@ -116,7 +116,7 @@ def draw_stability(trials: Sequence[Trial]) -> Figure:
         words = [t.value for t in mine if isinstance(t.value, str)]
         for outcome, (colour, marker) in _OUTCOMES.items():
             at = [
-                (words.index(t.value) if words else t.value, rows.index(row_of(t)))
+                (words.index(str(t.value)) if words else t.value, rows.index(row_of(t)))
                 for t in mine
                 if t.outcome == outcome
             ]
