@@ -67,8 +67,8 @@ class BoundsMonitor:
         Halt: where one of STOPPING is kept to rounding and broken; with `strict` where any is broken.
     """
 
-    STEPS, SHARE = 512, 1 / 16  # between two looks: steps, or part of the run
-    FROZEN_STEPS = 4096
+    STEPS, SHARE = 1024, 1 / 8  # between two looks: steps, or part of the run
+    FROZEN_STEPS = 16384
     memory: tuple[str, ...] = (
         "worst", "t", "looked", "froze", "rate", "budget_error", "budget_allowance", "norm", "growth_allowed",
         "eroded_volume", "outflow", "swell", "first_volume",

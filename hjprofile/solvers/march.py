@@ -26,7 +26,7 @@ STEP_FLOOR = 1e-9  # of the run's end: more steps than this allows would take da
 PATIENCE = 20_000  # ... but the first ones can be much shorter than those after them: K falls, and hollows fill
 MOST_STEPS = 64  # at a time; fewer on coarse grids, so that between two states that monitors see ...
 MOST_WAY = 1 / 32  # ... nothing moves further than this part of the grid
-CLOSE_STEPS = 6  # at a time, where a monitor wants to know when something happened
+CLOSE_WAY = 3e-3  # ... of the grid and no further, where a monitor wants to know when something happened
 MARGIN = 0.01  # by which the speed may rise while steps are taken, beyond half as much again as it rose last
 NOBODY: Mapping[str, Any] = MappingProxyType({})
 BESIDE = 64  # critical cells that monitors see beside what is not critical, as many as their stencils can ask for
@@ -190,6 +190,7 @@ def march(
     """
     kept = problem.times
     recorder, pace = _Recorder(kept.size, grid), _Pace()
+    close_leap = max(6, int(grid.cells * CLOSE_WAY))
     longest_leap = min(MOST_STEPS, max(1, int(grid.cells * MOST_WAY)))
     parts: dict[str, Any] = {"pace": pace, "recorder": recorder, "scheme": scheme, **monitors}
     bound, dt, status = 0.0, 0.0, "done"
@@ -244,7 +245,7 @@ def march(
                         dt = remaining / needed
                     elif dt < STEP_FLOOR * problem.end and (pace.steps > PATIENCE or cfl > 1.0):
                         raise _StepTooSmall
-                    leap = min(needed, pace.most, CLOSE_STEPS if pace.t < pace.close_until else MOST_STEPS)
+                    leap = min(needed, pace.most, close_leap if pace.t < pace.close_until else MOST_STEPS)
                     started = time.perf_counter()
                     try:
                         met = scheme.advance(dt, leap, bound)
@@ -265,7 +266,7 @@ def march(
                         scheme.restore()  # and once more, to find out where
                         pace.most = max(1, leap // 4)
                         continue
-                    if leap > CLOSE_STEPS and happened(state):
+                    if leap > close_leap and happened(state):
                         pace.close_until = state.t
                         scheme.restore()
                         continue
