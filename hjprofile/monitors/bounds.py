@@ -216,5 +216,5 @@ def verdicts(promises: Mapping[str, str | None], worst: Array) -> dict[str, Verd
     return {
         name: Verdict(bool(margin >= 0.0), float(margin), float(t), float(x), kept or "")
         for (name, kept), (margin, t, x) in zip(promises.items(), worst, strict=True)
-        if margin < np.inf
+        if margin != np.inf  # a NaN does not hold
     }

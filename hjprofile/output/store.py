@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import os
+import re
 import tempfile
 import tomllib
 from collections.abc import Iterable
@@ -25,6 +26,7 @@ from hjprofile.solvers.run import Event, KinkRecord, Run, Verdict
 
 VTK_FOLDER = "vtk"
 _UNITS = ("length", "critical_slope", "x_top", "height_top")
+_HALF = re.compile(r"\..+\.(nc|csv|json|png|npz|pvd|vtp|vtr)\.\w{8}")  # as `write_whole` names them
 _STALE = ("profile.png", "diagram.png", "vtk/*.pvd", "vtk/*.vtp", "vtk/*.vtr")
 
 _VARIABLES = {  # name -> dimensions, CF long name, axis
@@ -56,8 +58,14 @@ def write_whole(path: Path, data: bytes | str) -> None:
 
 
 def open_folder(folder: Path) -> Path:
-    """Makes the folder and tries that it can be written to. Raises OSError if not."""
+    """Makes the folder, tries that it can be written to, and removes halves that a killed run left beside its files.
+
+    Raises OSError if it cannot be written to.
+    """
     folder.mkdir(parents=True, exist_ok=True)
+    for path in (*folder.glob(".*"), *(folder / VTK_FOLDER).glob(".*")):
+        if _HALF.fullmatch(path.name):
+            path.unlink(missing_ok=True)
     with tempfile.TemporaryFile(dir=folder):
         return folder
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
@@ -117,18 +117,9 @@ class _Pace:
     most: int = MOST_STEPS  # steps to take at once
     close_until: float = 0.0  # time up to which few steps are taken at once
 
-    memory: tuple[str, ...] = (
-        "t",
-        "steps",
-        "seconds",
-        "shortest",
-        "longest",
-        "speed",
-        "rise",
-        "outgrown",
-        "most",
-        "close_until",
-    )
+    memory: ClassVar[tuple[str, ...]] = (
+        "t", "steps", "seconds", "shortest", "longest", "speed", "rise", "outgrown", "most", "close_until",
+    )  # fmt: skip
 
 
 class _Recorder:
