@@ -1,5 +1,6 @@
 """The command line when all goes well, and when a check fails: what it writes, prints and returns."""
 
+import csv
 import dataclasses
 import json
 import os
@@ -17,6 +18,8 @@ import tomli_w
 
 import hjprofile
 from hjprofile import cli
+from hjprofile.evidence import stability as study
+from hjprofile.output.checkpoint import NAME, Checkpoint
 from hjprofile.output.store import load_run
 from hjprofile.problem.case import load_case, shipped_cases
 from hjprofile.solvers import conservation
@@ -154,6 +157,38 @@ def test_the_account_says_which_bounds_were_not_held(folder, call):
     assert code == 1 and "stopped at t = " in err and f"{broken[0]} does not hold" in err
     lost = {"mass_budget": run.bounds["mass_budget"]._replace(holds=False)}
     assert "mass NOT KEPT" in cli._account(dataclasses.replace(run, bounds={**run.bounds, **lost}))
+
+
+def test_stability_writes_its_table_and_picture(folder, call, monkeypatch):
+    monkeypatch.setattr(study, "CELLS", 60)
+    for name, fewer in (
+        ("STEPS", 300),
+        ("CFL", (0.5, 1.5, 3.0)),
+        ("VISCOSITY_AT", (0.9,)),
+        ("EXPONENTS", (1.0, 800.0)),
+    ):
+        monkeypatch.setattr(study, name, fewer)
+    code, out, err = call("stability", "bare.toml")
+    assert (code, err) == (0, "") and out.splitlines()[1].split()[0] == "godunov"
+    rows = list(csv.DictReader(Path("results/bare/stability.csv").read_text().splitlines()))
+    assert list(rows[0]) == ["case", "method", "parameter", "value", "outcome", "detail", "theory"]
+    assert {row["outcome"] for row in rows} == {"holds", "loses_bounds", "oscillates", "fails"}
+    assert {row["case"] for row in rows} == {"bare"} and "nan" not in {v for row in rows for v in row.values()}
+    assert Path("results/bare/stability.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_resumed_run_says_so(folder, call):
+    code, out, _ = call("run", "bare.toml", "--resume")
+    assert code == 0 and "  resumed     not: there was no checkpoint, so from the start\n" in out
+    before = Path("results/bare/profile.nc").read_bytes()
+    case = load_case("bare.toml")
+    keeper = Checkpoint(Path("results/bare"), 1e9, resume=False)
+    with pytest.raises(hjprofile.RunError, match="interrupted at t ="):
+        solve_case(case, lambda fraction: keeper.asked or os.kill(os.getpid(), signal.SIGTERM), keeper=keeper)
+    code, out, _ = call("run", "bare.toml", "--resume")
+    assert code == 0 and "  resumed     from the checkpoint at t = " in out
+    assert Path("results/bare/profile.nc").read_bytes() == before
+    assert not Path("results/bare", NAME).exists()
 
 
 @pytest.mark.parametrize("command", COMMANDS)

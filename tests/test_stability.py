@@ -13,7 +13,9 @@ KINK = hj.Problem(hj.rational(), hj.kinks([-6.0], [1.0]), end=3.0)
 
 @pytest.fixture(scope="module")
 def trials():
-    return study.stability("kink", KINK, hj.Grid(-10.0, 1000))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "CELLS", 200)  # half of the usual, for a quarter of the time
+        return study.stability("kink", KINK, hj.Grid(-10.0, 1000))
 
 
 def outcomes(trials, parameter, method=None):

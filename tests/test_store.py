@@ -346,3 +346,14 @@ def test_pictures_are_drawn_even_if_the_helper_is_lost(tmp_path, at_once):
     run = hjprofile.solve_hj(problem, hjprofile.Grid(-2.0, 50))
     files = hjprofile.write_run(run, tmp_path, vtk=False, helper=LostHelper(at_once))
     assert {tmp_path / "profile.png", tmp_path / "diagram.png"} <= set(files)
+
+
+def test_halves_that_a_killed_run_left_are_removed(tmp_path):
+    (tmp_path / "vtk").mkdir()
+    halves = [".profile.nc.k3_9abcd", ".checkpoint.npz.00000000", "vtk/.profile_0003.vtp.abcdefgh"]
+    others = [".profile.nc", ".gitignore", "notes.csv", ".notes.csv.swp", "vtk/.hidden"]
+    for name in halves + others:
+        (tmp_path / name).write_text("x")
+    store.open_folder(tmp_path)
+    left = {p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*") if p.is_file()}
+    assert left == set(others)
