@@ -261,11 +261,15 @@ def test_a_slope_along_which_K_changes_too_often_is_refused_at_once(m):
         hj.track_fronts(problem, hj.Grid(-3.0, 60))
 
 
-def test_steps_that_lead_nowhere_end_the_run():
-    """K is 1e86 below the gentle slope, and so are the speeds: the run would never arrive."""
-    problem = hj.Problem(hj.power(5.0), hj.steps([-1.0, -0.99], [-0.9]), end=0.1, snapshots=[0.1])
-    with pytest.raises(hj.RunError, match=r"stopped before t = 0\.1: .* or K too large"):
-        hj.track_fronts(problem, hj.Grid(-3.0, 60))
+@pytest.mark.parametrize(("m", "q", "length"), [(5.0, -0.9, 0.01), (3.0, -0.99, 0.005), (1.0, -0.999, 0.5)])
+def test_first_steps_may_be_very_short(m, q, length):
+    """ln K falls by hundreds along the gentle slope, and the first steps are 1e-12 of the run: these do not last."""
+    problem = hj.Problem(hj.power(m), hj.steps([-1.0, -1.0 + length], [q]), end=0.1, snapshots=[0.1])
+    grid = hj.Grid(-3.0, 3000)
+    other = hj.solve_hj(problem, grid, "godunov")
+    assert (
+        np.abs(hj.track_fronts(problem, grid).u - other.u).max() <= 2 * grid.dx
+    )  # first order; measured 0.3 to 0.9 dx
 
 
 def test_flat_slope_and_a_kink_at_the_very_top():

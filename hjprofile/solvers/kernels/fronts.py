@@ -9,7 +9,10 @@ import math
 from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.law import law_decay, law_derivatives, law_f, law_flow, law_q_f
 
-STEP_FLOOR = 1e-7  # of the way to a saved time: more steps than this allows, of some 0.3 ms each, would take an hour
+STEP_FLOOR = (
+    1e-7  # of the way to a saved time: more steps than this allows, of some 0.3 ms each, would take an hour, ...
+)
+PATIENCE = 3000  # ... but the first ones can be much shorter than those after them
 
 
 @compiled
@@ -170,10 +173,10 @@ def advance(x, jump, label, since, smooth, n, t, end, reach, spacing, r0, near, 
     A step takes no front further than `reach` spacings, or as many pieces where these are shorter, at most half a
     length 1/|f| over which K changes. `totals` holds ∫(K_left - 1) dt, ∫F(0) dt, the number of
     steps and the highest label. Returns n and the number of rows in `log`: (t, kink, into, x), into = 0 a birth, -1 an
-    exit; -1 rows where a step falls below STEP_FLOOR of the way to `end`.
+    exit; -1 rows where PATIENCE steps fall below STEP_FLOOR of the way to `end`.
     """
     logged = 0
-    floor = STEP_FLOOR * (end - t)
+    floor, short = STEP_FLOOR * (end - t), 0
     k1, k2, k3, k4, y, r_left, r_right, K = work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7]
     while t < end:
         if n == 0:
@@ -185,7 +188,9 @@ def advance(x, jump, label, since, smooth, n, t, end, reach, spacing, r0, near, 
             fastest = max(fastest, k1[j] * max(1.0, 2.0 * folds))
         dt = reach * spacing / fastest
         if not dt > floor:  # K is without bound below a slope with q near -1
-            return n, -1
+            short += 1
+            if short > PATIENCE or not dt > 0.0:
+                return n, -1
         if dt >= end - t:
             dt = end - t
         elif 2.0 * dt > end - t:
