@@ -178,7 +178,7 @@ def stability(case: str, /, *, out: Out = None) -> None:
         low, high = measured_limit(trials, method)
         limit = f"{low:.4g} to {high:.4g}" if high < float("inf") else f"all up to {low:.4g}"
         print(f"  {method:22} {limit:18} ({theory:.4g})")
-    write_whole(folder / "stability.csv", to_csv(Trial._fields, trials))
+    write_whole(folder / "stability.csv", to_csv(Trial._fields[:-1], [t[:-1] for t in trials]))
     write_whole(folder / "stability.png", stability_picture(trials))
     print(f"written to {folder}: stability.csv, stability.png")
 

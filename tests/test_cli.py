@@ -171,7 +171,7 @@ def test_stability_writes_its_table_and_picture(folder, call, monkeypatch):
     code, out, err = call("stability", "bare.toml")
     assert (code, err) == (0, "") and out.splitlines()[1].split()[0] == "godunov"
     rows = list(csv.DictReader(Path("results/bare/stability.csv").read_text().splitlines()))
-    assert list(rows[0]) == ["case", "method", "parameter", "value", "outcome", "detail", "theory"]
+    assert list(rows[0]) == ["case", "method", "parameter", "value", "outcome", "detail"]
     assert {row["outcome"] for row in rows} == {"holds", "loses_bounds", "oscillates", "fails"}
     assert {row["case"] for row in rows} == {"bare"} and "nan" not in {v for row in rows for v in row.values()}
     assert Path("results/bare/stability.png").read_bytes().startswith(b"\x89PNG")
