@@ -34,7 +34,7 @@ def test_the_upper_bound_is_reached_by_the_last_kink(law):
 
 
 def test_the_factor_reaches_its_bound_as_the_same_mass_is_spread():
-    """ln K <= f'(0) ‖q⁺‖₁: a mass 2 spread over a length 2/δ has ln K(left) = 2/(1+δ), and keeps it while nothing leaves."""
+    """ln K <= f'(0) ‖q⁺‖₁: a mass 2 spread over a length 2/δ has ln K(left) = 2/(1+δ), while nothing leaves."""
     missing = []
     deltas = [0.4, 0.2, 0.1, 0.05]
     for delta in deltas:
@@ -78,7 +78,7 @@ values = st.lists(st.floats(-0.8, 3.0), min_size=1, max_size=6)
 def test_every_slope_ends_critical_with_the_volume_that_lay_above_it(data, method):
     """Once all has left, u = x as on the far left: the eroded volume is ∫(u(0,x) - x) dx, of either sign.
 
-    At time `end` even the slowest disturbance has left: its speed is at least K f' with the least K and f' there can be.
+    By `end` even the slowest has left: its speed is at least K f' with the least K and the least f' there can be.
     """
     q = np.array(data)
     edges = np.linspace(-4.0, -1.0, q.size + 1)
