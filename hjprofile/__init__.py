@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from hjprofile.problem.case import Case as Case
     from hjprofile.problem.case import load_case as load_case
     from hjprofile.problem.case import shipped_cases as shipped_cases
+    from hjprofile.problem.coefficient import Coefficient as Coefficient
+    from hjprofile.problem.coefficient import coefficient as coefficient
+    from hjprofile.problem.coefficient import stored_coefficient as stored_coefficient
     from hjprofile.problem.erosion import ErosionLaw as ErosionLaw
     from hjprofile.problem.erosion import erosion_law as erosion_law
     from hjprofile.problem.erosion import expression as expression
@@ -52,6 +55,7 @@ _MODULES = {
     "output.store": ("load_run", "write_run"),
     "problem": ("Problem",),
     "problem.case": ("Case", "load_case", "shipped_cases"),
+    "problem.coefficient": ("Coefficient", "coefficient", "stored_coefficient"),
     "problem.erosion": ("ErosionLaw", "erosion_law", "expression", "log", "power", "rational"),
     "problem.grid": ("Grid",),
     "problem.profiles": ("bumps", "kinks", "points", "profile", "steady", "steps"),

@@ -115,7 +115,7 @@ def check(*case: str, out: Out = None) -> None:
     verdicts: list[dict[str, Any]] = []
     for one in loaded:
         with _Progress(f"checking {one.name}") as progress:
-            checks = check_consistency(one.problem, one.grid, one.cfl, progress)
+            checks = check_consistency(one.problem, one.grid, one.cfl, progress, one.refresh)
         passes = all(c.passes for c in checks)
         verdicts.append({"case": one.name, "title": one.problem.title, "passes": passes} | {
             "comparisons": [c._asdict() for c in checks]
@@ -280,7 +280,7 @@ def _account(run: Run) -> str:
     count = {kind: sum(e.event == kind for e in run.events) for kind in ("birth", "merge", "exit")}
     plural = {"birth": "births", "merge": "merges", "exit": "exits"}
     events = ", ".join(f"{n} {plural[kind] if n != 1 else kind}" for kind, n in count.items())
-    mass, budget = run.bounds["mass_budget"], run.bounds["volume_budget"]
+    mass, budget = run.bounds["mass_budget"], run.bounds.get("volume_budget")
     lines = [
         run.title,
         f"  solved      {run.method}, {run.cells} cells, {run.steps} steps in {run.wall_seconds:.2g} s "
@@ -288,7 +288,7 @@ def _account(run: Run) -> str:
         f"  eroded      {volume}",
         f"  kinks       {len(run.kinks_at(0))} at t = {run.time[0]:g}, {len(run.kinks_at(-1))} at the end; {events}",
         f"  budgets     mass {f'to {mass.allowance}' if mass.holds else 'NOT KEPT'}; "
-        f"volume to {run.volume_budget_error:.2g} ({budget.allowance})",
+        + (f"volume to {run.volume_budget_error:.2g} ({budget.allowance})" if budget else "none of volume promised"),
         f"  bounds      {'all hold' if not run.warnings else 'NOT HELD:'}",
         *(f"  WARNING     {warning}" for warning in run.warnings),
     ]

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 import hjprofile as hj
 from hjprofile.solvers import conservation
 from hjprofile.solvers import hj as hj_form
+from hjprofile.solvers.factor import Factor
 from hjprofile.solvers.grid_law import grid_law
 from hjprofile.solvers.high_order import ssp_rk2, ssp_rk4
 from hjprofile.solvers.kernels import grid as kernels
@@ -21,6 +22,7 @@ from hjprofile.solvers.kernels import wavefront
 from hjprofile.solvers.march import march
 
 LAWS = {"rational": hj.rational(), "log": hj.log(), "power": hj.power(2.0), "expression": hj.expression("q/(1+q)")}
+NONLOCAL = wavefront.Nonlocal()
 means = st.lists(st.floats(-0.9, 6.0), min_size=5, max_size=90)
 
 
@@ -42,7 +44,9 @@ def test_a_sweep_is_as_many_single_steps(data, law, flux, levels, inflow):
     dt = grid.dx / bound
     speed = plain.advance(dt, levels, bound)
     swept = W.copy()
-    met, grown = wavefront.hj_pass(swept, grid.dx, dt, levels, inflow, law.kernel, hj_form.FLUXES[flux](bound))
+    met, grown = wavefront.hj_pass(
+        swept, grid.dx, dt, levels, inflow, law.kernel, hj_form.FLUXES[flux](bound), NONLOCAL
+    )
     # 64 steps of rounding of W up to 12; a viscosity reads f' to 1e-7 where a table's pieces are told apart by rounding
     assert np.abs(swept - plain.W).max() <= 1e-12
     assert met == pytest.approx(speed, rel=1e-6)
@@ -61,7 +65,7 @@ def test_a_second_order_sweep_is_as_many_single_steps(data, law, levels):
     for _ in range(levels):
         plain, foot, top = oracles.muscl_hancock(plain, law, dx, dt, kernels.FLOOR_SHARE)
         grown, outflow = grown + dt * (foot - 1.0), outflow + dt * top
-    _, found_grown, found_outflow = wavefront.hancock_pass(swept, dx, dt, levels, 0.0, table.kernel)
+    _, found_grown, found_outflow = wavefront.hancock_pass(swept, dx, dt, levels, 0.0, table.kernel, NONLOCAL)
     # rounding; with a table f to 1e-10 of its size and, in the step to the half time, f' to 1e-6, dt times
     allowed = 1e-11 if law.name == "rational" else 1e-5
     assert np.abs(swept - plain).max() <= allowed * (1.0 + np.abs(plain).max())
@@ -75,9 +79,9 @@ def test_lanes_beyond_the_levels_do_nothing():
     for flux in hj_form.FLUXES.values():
         together, apart = W.copy(), W.copy()
         law = grid_law(hj.rational(), W).kernel
-        wavefront.hj_pass(together, 0.01, 0.002, 37, 0.0, law, flux(2.0))
+        wavefront.hj_pass(together, 0.01, 0.002, 37, 0.0, law, flux(2.0), NONLOCAL)
         for _ in range(37):
-            wavefront.hj_pass(apart, 0.01, 0.002, 1, 0.0, law, flux(2.0))
+            wavefront.hj_pass(apart, 0.01, 0.002, 1, 0.0, law, flux(2.0), NONLOCAL)
         assert np.array_equal(together, apart)
 
 
@@ -176,7 +180,7 @@ class Rising:
     def __init__(self):
         self.t, self.taken, self.redone = 0.0, [], 0
         self.W, self.q, self.K = np.zeros(1001), np.zeros(1000), np.ones(1001)
-        self.law = grid_law(hj.rational(), self.q)
+        self.law, self.factor = grid_law(hj.rational(), self.q), Factor(hj.Grid(-1.0, 1000))
         self.growth = self.outflow = 0.0
 
     def means(self):

@@ -55,12 +55,14 @@ def chart(
 
     Seconds are those of the time stepping alone, compilation and output apart. Errors are sup|u - exact u| over
     SNAPSHOTS times and ∫|q - exact q| dx at the end. Methods that break down at a resolution are left out there.
-    Raises InputError if no time passes, and RunError if no method reaches the end.
+    Raises InputError if no time passes or a coefficient is prescribed, and RunError if no method reaches the end.
     """
     if not problem.end > 0.0:
         raise InputError(
             f"{case}: end = {problem.end:g}; a chart needs an end above 0, for it times what happens until then"
         )
+    if problem.coefficient is not None:
+        raise InputError(f"{case}: a chart needs the exact solution, which is not known with a prescribed coefficient")
     problem = replace(problem, snapshots=np.linspace(0.0, problem.end, SNAPSHOTS).tolist())
     reference = _reference(problem, grid)
     known: dict[int, tuple[Array, Array]] = {}

@@ -19,8 +19,8 @@ from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers import conservation, hj
 from hjprofile.solvers.grid_law import GridLaw, grid_law
-from hjprofile.solvers.march import Breakdown, Scheme
-from hjprofile.solvers.run import Array, State
+from hjprofile.solvers.march import Scheme
+from hjprofile.solvers.run import Array, Breakdown, State
 
 CELLS = 400
 STEPS = 6000  # at most in a trial
@@ -114,7 +114,7 @@ class _Laboratory(conservation.FirstOrder):
             right = left
             if not np.min(left) > -1.0:
                 raise Breakdown(left, self.K)
-        F, _ = self.flux(self.law, dx, left, right, K[1:], self.viscosity * bound)
+        F, _ = self.flux(self.law, dx, left, right, K, self.viscosity * bound)
         return -np.diff(F, prepend=0.0) / dx
 
     def _move(self, q: Array, dt: float, bound: float) -> None:
@@ -126,10 +126,13 @@ class _Laboratory(conservation.FirstOrder):
 def stability(case: str, problem: Problem, grid: Grid, progress: Callable[[float], None] | None = None) -> list[Trial]:
     """Scans CFL number, viscosity, age of K, reconstruction, smallness of 1 + q, size of ∫f and truncation.
 
-    On CELLS cells. Raises InputError where something flows in, no time passes, or the slope is critical all over.
+    On CELLS cells. Raises InputError where something flows in, no time passes, the slope is critical all over, or a
+    coefficient is prescribed.
     """
     if problem.profile.inflow:
         raise InputError(f"{case}: something flows in at the left end; a scan needs a profile with q = 0 there")
+    if problem.coefficient is not None:
+        raise InputError(f"{case}: a scan varies the nonlocal factor; it says nothing about a prescribed coefficient")
     grid = Grid(grid.left, CELLS)
     q = np.diff(problem.profile.W(grid.nodes, problem.law)) / grid.dx
     if not problem.end > 0.0 or not np.abs(q).max() > 0.0:

@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from hjprofile.problem.coefficient import Coefficient
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.kernels import watch
+from hjprofile.solvers.kernels.wavefront import LaxFriedrichs
 from hjprofile.solvers.run import Array, Halt, State, Verdict
 
 ROUNDING = 1e-10  # relative; some 1e5 steps add up errors of 1e-16 each, at worst all in one direction
@@ -41,6 +43,9 @@ LOCAL: Promises = MappingProxyType(
 HIGHER_ORDER: Promises = MappingProxyType(
     {name: kept and FIRST_ORDER for name, kept in LOCAL.items()} | {"mass_budget": EXACT}
 )
+# Whatever the factor is: the other facts use that K is made of q, and hold for a factor that is kept to first order
+# in the time that it is kept, without a constant that is known
+FOR_ANY_FACTOR = ("mass_budget", "signs", "l1_decay", "flux_maximum", "flux_variation", "kruzkov")
 STOPPING = ("mass_budget", "volume_budget")  # where they are kept to rounding, nothing is right that breaks them
 
 
@@ -60,7 +65,10 @@ class BoundsMonitor:
     flux_maximum, flux_variation, kruzkov: with K frozen at a state, a step of the method's own length
         does not raise sup|F| nor TV(F) [decay_sup_flux, decay_tv_flux], and it keeps the order of states, which is
         Kružkov's inequality: |H(q) - H(α)| <= H(max(q, α)) - H(min(q, α)) for the step H and a constant α.
+        With a coefficient that does not depend on t, neither may grow over the whole run (but for lax-friedrichs, the
+        viscosity of which changes).
 
+    With a prescribed coefficient, and with a factor that is kept for a while, FOR_ANY_FACTOR alone are watched.
     What is kept to first order may miss by dx TV(q). Where something flows in, only budgets and the least q count.
 
     Raises:
@@ -71,12 +79,12 @@ class BoundsMonitor:
     FROZEN_STEPS = 16384
     memory: tuple[str, ...] = (
         "worst", "t", "looked", "froze", "rate", "budget_error", "budget_allowance", "norm", "growth_allowed",
-        "eroded_volume", "outflow", "swell", "first_volume",
+        "eroded_volume", "outflow", "swell", "first_volume", "flux_seen",
     )  # fmt: skip
 
     def __init__(
         self, law: ErosionLaw, grid: Grid, W: Array, inflow: float, end: float, promises: Promises,
-        flux: Any = None, strict: bool = False,
+        flux: Any = None, strict: bool = False, coefficient: Coefficient | None = None, refresh: float | None = None,
     ):  # fmt: skip
         self.law, self.grid, self.inflow, self.flux, self.strict = law, grid, inflow, flux, strict
         self.pause = self.SHARE * end
@@ -89,9 +97,10 @@ class BoundsMonitor:
         self.R0 = float(law.R(0.0))
         self.sign = 1.0 if self.floor == 0.0 else -1.0 if top == 0.0 else 0.0
         lasting = {"mass_budget", "volume_budget", "minimum_principle"}
+        known = promises if coefficient is None and refresh is None else FOR_ANY_FACTOR
         self.promises = {
             name: kept for name, kept in promises.items()
-            if kept and (not inflow or name in lasting) and (self.sign or name != "signs")
+            if kept and name in known and (not inflow or name in lasting) and (self.sign or name != "signs")
             and (flux or name not in ("flux_maximum", "flux_variation", "kruzkov"))
         }  # fmt: skip
         if not inflow:
@@ -101,7 +110,11 @@ class BoundsMonitor:
             self.thinnest = float(law.derivative(self.floor)) * minus
         self.worst = np.tile([np.inf, np.nan, np.nan], (len(self.promises), 1))  # margin, time, x
         self.first_volume = np.nan
-        self.eroded_volume = self.outflow = self.budget_error = self.budget_allowance = 0.0
+        self.eroded_volume = self.outflow = self.budget_allowance = 0.0
+        self.budget_error = 0.0 if coefficient is None else np.nan
+        # sup|F| and TV(F) when they were last seen
+        self.lasting_flux = coefficient is not None and coefficient.steady and flux is not LaxFriedrichs
+        self.flux_seen = (np.inf, np.inf)
         self.t = self.rate = self.swell = self.growth_allowed = 0.0
         self.looked, self.froze = 0, -self.FROZEN_STEPS
         self.ln_K = np.zeros(grid.cells + 1)
@@ -132,7 +145,7 @@ class BoundsMonitor:
         off = abs(self.eroded_volume - state.growth)
         self.budget_error = max(self.budget_error, off)
         small = ROUNDING * (1.0 + abs(state.growth) + t + abs(self.first_volume))
-        exactly = self.promises["volume_budget"] == EXACT
+        exactly = self.promises.get("volume_budget") == EXACT
         self._record("volume_budget", small + (0.0 if exactly else self.budget_allowance), off)
 
         def place(index: int) -> float:
@@ -159,8 +172,20 @@ class BoundsMonitor:
         )
         if "kruzkov" in self.promises and state.dt > 0.0 and state.steps - self.froze >= self.FROZEN_STEPS:
             self.froze = state.steps
-            self._freeze(state, np.exp(ln_K), most, place)
+            self._freeze(state, np.exp(ln_K) if state.K is None else state.K, most, place)
+        if "flux_maximum" in self.promises and self.lasting_flux and state.K is not None:
+            F = watch.frozen_step(q, state.K, dx, 0.0, state.law, self.flux(state.bound))[1]
+            self._compare(F, *self.flux_seen, float(state.K.max()))
+            self.flux_seen = float(np.abs(F).max()), float(np.abs(np.diff(F)).sum())
         return self._judge(state)
+
+    def _compare(self, F: Array, most: float, variation: float, thickest: float) -> None:
+        """sup|F| and TV(F) with what they were before."""
+        # rounding of F, and of the differences of K that telescoping fluxes divide by dx
+        rounding = ROUNDING * float(np.abs(F).max()) + 1e-15 * thickest / self.grid.dx
+        self._record("flux_maximum", rounding, float(np.abs(F).max()) - most)
+        varied = float(np.abs(np.diff(F)).sum())
+        self._record("flux_variation", F.size * rounding + ROUNDING * varied, varied - variation)
 
     def _freeze(self, state: State, K: Array, most: float, place: Callable[[int], float]) -> None:
         """One step with K frozen, from q and from its maximum and minimum with a constant."""
@@ -173,12 +198,7 @@ class BoundsMonitor:
             return watch.frozen_step(y, K, dx, dt, state.law, flux)
 
         after, F = step(q)
-        F_after = step(after)[1]
-        # of F, and of the differences of K that telescoping fluxes divide by dx
-        rounding = ROUNDING * float(np.abs(F).max()) + 1e-15 * float(K.max()) / dx
-        self._record("flux_maximum", rounding, float(np.abs(F_after).max() - np.abs(F).max()))
-        varied, before = float(np.abs(np.diff(F_after)).sum()), float(np.abs(np.diff(F)).sum())
-        self._record("flux_variation", q.size * rounding + ROUNDING * before, varied - before)
+        self._compare(step(after)[1], float(np.abs(F).max()), float(np.abs(np.diff(F)).sum()), float(K.max()))
         # a different cell's slope each time; low slopes would need shorter steps where K is large
         alpha = float(q[int(q.size * (0.618 * (state.steps + 1) % 1.0))])
         if float(K.max()) * float(self.law.derivative(alpha)) > state.speed:

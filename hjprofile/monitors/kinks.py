@@ -83,6 +83,9 @@ class KinkTracker:
     def _look(self, state: State) -> list[Sighting]:
         if self.latest[0] != state.t:
             rows = find_kinks(state.q, float(self.grid.nodes[state.first]), self.grid.dx, state.law)
+            if state.K is not None:
+                nodes = self.grid.nodes[state.first : state.first + state.K.size]
+                rows[:, 3] = np.interp(rows[:, 0], nodes, state.K)
             self.latest = state.t, [Sighting(*row) for row in rows.tolist()]
         return self.latest[1]
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hjprofile.errors import InputError
+from hjprofile.problem.coefficient import Coefficient
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Profile
@@ -22,6 +23,7 @@ class Problem:
         profile: the profile at t = 0.
         end: mass of grains poured in all; it serves as time.
         snapshots: a count (evenly spaced, both ends) or the times that are kept.
+        coefficient: k(t, x) in place of the nonlocal factor (theory, §9); None for the factor itself.
     """
 
     law: ErosionLaw
@@ -29,6 +31,7 @@ class Problem:
     end: float
     snapshots: int | Sequence[float] = 31
     title: str = ""
+    coefficient: Coefficient | None = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.end) and self.end >= 0):
@@ -64,8 +67,18 @@ class Problem:
             return np.zeros(1)
         return np.linspace(0.0, self.end, self.snapshots) if self.snapshots > 1 else np.array([float(self.end)])
 
+    def check_invariant(self, method: str) -> None:
+        """Raises InputError if there is no invariant that the method could follow."""
+        if self.coefficient is not None:
+            raise InputError(
+                f"the method {method} follows the invariant I, which a given coefficient does not have; "
+                "use a method on a grid, such as conservative"
+            )
+
     @np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks refuse
     def check(self, grid: Grid) -> None:
         """Raises InputError if the problem cannot be solved on this grid."""
         grid.check_memory(self.kept)
         self.profile.check(grid, self.law)
+        if self.coefficient is not None:
+            self.coefficient.check(grid.nodes, self.end)

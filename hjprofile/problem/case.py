@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hjprofile.errors import InputError
-from hjprofile.problem import Problem, erosion, profiles
+from hjprofile.problem import Problem, coefficient, erosion, profiles
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.survey import survey
 
@@ -29,6 +29,7 @@ class Case:
         name: of the file, without `.toml`.
         source: where it came from, for messages.
         method, cfl, tolerance: how to solve it.
+        refresh: how long the factor is kept before it is taken anew (theory, §10); None for anew in every step.
         vtk, plots: what to write beside `profile.nc` and the tables.
         checkpoint: seconds between two checkpoints of a run on a grid.
         expect: what the case's own test asserts.
@@ -45,6 +46,7 @@ class Case:
     plots: bool = True
     checkpoint: float = DEFAULT_CHECKPOINT
     expect: Mapping[str, Any] | None = None
+    refresh: float | None = None
 
 
 class _Section:
@@ -172,16 +174,25 @@ _PROFILES: dict[str, tuple[Callable, dict[str, tuple]]] = {
     ),
 }
 
+_COEFFICIENTS: dict[str, tuple[Callable, dict[str, tuple]]] = {
+    "expression": (lambda expression: coefficient.coefficient(expression), {"expression": (_text,)}),
+    "python": (
+        lambda file, function, base: coefficient.from_file(base / file, function, file),
+        {"file": (_text,), "function": (_text,)},
+    ),
+    "run": (coefficient.stored_coefficient, {"result": (_text,)}),
+}
+
 
 def _build(section: _Section, chooser: str, choices: Mapping[str, tuple[Callable, dict]], base: Path) -> Any:
-    """The law or profile that a section describes: `chooser` names one of `choices`."""
+    """The law, profile or coefficient that a section describes: `chooser` names one of `choices`."""
     name = section.take(chooser, _text)
     if name not in choices:
         raise section.error(f"{chooser} = {name!r} is not known; allowed are {', '.join(map(repr, choices))}")
     make, keys = choices[name]
     arguments = {key: section.take(key, *how) for key, how in keys.items()}
     section.finish()
-    if "file" in keys:
+    if keys.keys() & {"file", "result"}:
         arguments["base"] = base
     try:
         return make(**arguments)
@@ -216,18 +227,19 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
     title = top.take("title", _text, name)
     sections = {
         key: _Section(source, key, top.take(key, _table, {}))
-        for key in ("erosion", "profile", "domain", "time", "solver", "output")
+        for key in ("erosion", "profile", "coefficient", "domain", "time", "solver", "output")
     }
     expect = top.take("expect", _table, {})
     top.finish()
 
     law = _build(sections["erosion"], "law", _LAWS, base)
     profile = _build(sections["profile"], "kind", _PROFILES, base)
+    given = _build(sections["coefficient"], "kind", _COEFFICIENTS, base) if "coefficient" in content else None
     domain, time, solver, output = (sections[k] for k in ("domain", "time", "solver", "output"))
     grid_values = {"left": domain.take("left", _number), "cells": domain.take("cells", _whole)}
     time_values = {"end": time.take("end", _number), "snapshots": time.take("snapshots", _count_or_times, 31)}
     method, cfl = solver.take("method", _text, DEFAULT_METHOD), solver.take("cfl", _positive, DEFAULT_CFL)
-    tolerance = solver.take("tolerance", _positive, None)
+    tolerance, refresh = solver.take("tolerance", _positive, None), solver.take("refresh", _positive, None)
     vtk, plots = output.take("vtk", _switch, True), output.take("plots", _switch, True)
     checkpoint = output.take("checkpoint", _positive, DEFAULT_CHECKPOINT)
     for section in (domain, time, solver, output):
@@ -236,18 +248,26 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
     try:
         grid = Grid(**grid_values)
         section = time
-        problem = Problem(law, profile, title=title, **time_values)
+        problem = Problem(law, profile, title=title, coefficient=given, **time_values)
         section = domain
         grid.check_memory(problem.kept)
         section = sections["profile"]
         profile.check(grid, law)
+        if given is not None:
+            section = sections["coefficient"]
+            given.check(grid.nodes, problem.end)
     except InputError as error:
         raise section.error(str(error)) from None
-    return Case(name, source, problem, grid, method, cfl, tolerance, vtk, plots, checkpoint, expect)
+    return Case(name, source, problem, grid, method, cfl, tolerance, vtk, plots, checkpoint, expect, refresh)
 
 
 def resolved_case(
-    problem: Problem, grid: Grid, method: str, cfl: float = DEFAULT_CFL, tolerance: float | None = None
+    problem: Problem,
+    grid: Grid,
+    method: str,
+    cfl: float = DEFAULT_CFL,
+    tolerance: float | None = None,
+    refresh: float | None = None,
 ) -> dict[str, Any]:
     """The case, with every default filled in, as a table ready for TOML."""
     snapshots = problem.snapshots
@@ -255,12 +275,15 @@ def resolved_case(
         "title": problem.title,
         "erosion": dict(problem.law.table),
         "profile": dict(problem.profile.table),
+        **({} if problem.coefficient is None else {"coefficient": dict(problem.coefficient.table)}),
         "domain": {"left": float(grid.left), "cells": int(grid.cells)},
         "time": {
             "end": float(problem.end),
             "snapshots": int(snapshots) if isinstance(snapshots, (int, np.integer)) else [float(t) for t in snapshots],
         },
-        "solver": {"method": method, "cfl": float(cfl)} | ({} if tolerance is None else {"tolerance": tolerance}),
+        "solver": {"method": method, "cfl": float(cfl)}
+        | ({} if tolerance is None else {"tolerance": tolerance})
+        | ({} if refresh is None else {"refresh": float(refresh)}),
     }
 
 

@@ -335,6 +335,7 @@ def solve_characteristics(
     """
     if not FINEST <= tolerance <= COARSEST:
         raise InputError(f"tolerance = {tolerance:g} must lie between {FINEST:g} and {COARSEST:g}")
+    problem.check_invariant("characteristics")
     profile = problem.profile
     if profile.inflow:
         raise InputError("characteristics need q = 0 at the left end; this profile has a flux that enters there")

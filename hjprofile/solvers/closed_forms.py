@@ -77,7 +77,9 @@ class ClosedForm:
 
 
 def closed_form(problem: Problem) -> ClosedForm | None:
-    """The exact solution of a problem whose data are one of those below; None for others."""
+    """The exact solution of a problem with the nonlocal factor whose data are one of those below; None for others."""
+    if problem.coefficient is not None:
+        return None
     match problem.profile:
         case Kinks(positions, amplitudes) if len(positions) == 1:
             return travelling_kink(problem.law, float(amplitudes[0]), float(positions[0]))

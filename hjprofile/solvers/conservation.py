@@ -15,13 +15,13 @@ import numpy as np
 
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
+from hjprofile.solvers.factor import Factor, factor_of
 from hjprofile.solvers.grid_law import GridLaw, grid_law
 from hjprofile.solvers.high_order import HighOrder
 from hjprofile.solvers.kernels import grid as kernels
 from hjprofile.solvers.kernels import wavefront
-from hjprofile.solvers.march import BESIDE, NEGLIGIBLE, Breakdown
-from hjprofile.solvers.nonlocal_factor import fill_factor
-from hjprofile.solvers.run import Array
+from hjprofile.solvers.march import BESIDE, NEGLIGIBLE
+from hjprofile.solvers.run import Array, Breakdown
 
 
 def _heights(q: Array, dx: float, W_left: float) -> Array:
@@ -29,7 +29,7 @@ def _heights(q: Array, dx: float, W_left: float) -> Array:
     return W_left + np.concatenate([[0.0], np.cumsum(q) * dx])
 
 
-# F at the nodes 1..N and the K f' that bounds the step, from q on either side, K and max K f' of all steps
+# F at the nodes 1..N and the K f' that bounds the step, from q on either side, K at the nodes 0..N and max K f'
 FirstOrderFlux = Callable[[GridLaw, float, Array, Array, Array, float], tuple[Array, Array]]
 
 
@@ -41,23 +41,23 @@ def _growth(z: Array) -> Array:
 
 def _local_lax_friedrichs(law: GridLaw, dx: float, ql: Array, qr: Array, K: Array, bound: float):
     left, right = law.derivative(ql), law.derivative(qr)
-    viscosity = K * np.maximum(left, right)
-    thickest = np.maximum(np.maximum(K, K * _growth(law.f(ql) * dx)), np.append(K[1:], 1.0))  # of neighbouring nodes
+    viscosity = K[1:] * np.maximum(left, right)
+    thickest = np.maximum(np.maximum(K[1:], K[:-1]), np.append(K[2:], K[-1]))  # of neighbouring nodes
     speed = thickest * (np.maximum(left, right) + np.maximum(right - left, 0.0) / 2)
-    return K * law.f((ql + qr) / 2) - viscosity / 2 * (qr - ql), speed
+    return K[1:] * law.f((ql + qr) / 2) - viscosity / 2 * (qr - ql), speed
 
 
 def _lax_friedrichs(law: GridLaw, dx: float, ql: Array, qr: Array, K: Array, bound: float):
-    return K * law.f((ql + qr) / 2) - bound / 2 * (qr - ql), K * law.derivative(np.minimum(ql, qr))
+    return K[1:] * law.f((ql + qr) / 2) - bound / 2 * (qr - ql), K[1:] * law.derivative(np.minimum(ql, qr))
 
 
 def _godunov(law: GridLaw, dx: float, ql: Array, qr: Array, K: Array, bound: float):
-    return K * law.f(ql), K * law.derivative(ql)
+    return K[1:] * law.f(ql), K[1:] * law.derivative(ql)
 
 
 def _telescoping(law: GridLaw, dx: float, ql: Array, qr: Array, K: Array, bound: float):
     z = law.f(ql) * dx
-    return (K * _growth(z) - K) / dx, K * law.derivative(ql) * (1 + np.maximum(z, 0.0))
+    return K[1:] * (_growth(z) - 1.0) / dx, K[1:] * law.derivative(ql) * (1 + np.maximum(z, 0.0))
 
 
 FLUXES: Mapping[str, FirstOrderFlux] = MappingProxyType(
@@ -76,8 +76,12 @@ class FirstOrder:
 
     memory: tuple[str, ...] = ("q", "W_left", "growth", "outflow")
 
-    def __init__(self, law: GridLaw, grid: Grid, q: Array, W_left: float, inflow: float, flux: FirstOrderFlux):
+    def __init__(
+        self, law: GridLaw, grid: Grid, q: Array, W_left: float, inflow: float, flux: FirstOrderFlux,
+        factor: Factor | None = None,
+    ):  # fmt: skip
         self.law, self.grid, self.inflow, self.flux = law, grid, inflow, flux
+        self.factor = factor or Factor(grid)
         self.cfl_limit = 2 / 3 if flux is _lax_friedrichs else 1.0
         self.q, self.W_left = q.copy(), W_left
         self.K = np.ones(grid.cells + 1)
@@ -91,8 +95,9 @@ class FirstOrder:
         if not np.min(self.q) > -1.0:
             raise Breakdown(self.q, self.K)
         self.law = self.law.covering(self.q)
+        given = self.factor.given()
         exponent = self.grid.dx * np.cumsum(self.law.f(self.q)[::-1])[::-1]
-        self.K = np.exp(np.append(exponent, 0.0))
+        self.K = np.exp(np.append(exponent, 0.0)) if given is None else given[0]
         speed = float(np.max(np.maximum(self.K[:-1], self.K[1:]) * self.law.derivative(self.q)))
         if not 0.0 < speed < np.inf:
             raise Breakdown(self.q, self.K)
@@ -104,14 +109,17 @@ class FirstOrder:
     def advance(self, dt: float, steps: int, bound: float) -> float:
         self.kept = self.q, self.W_left, self.growth, self.outflow
         fastest, dx = 0.0, self.grid.dx
-        for _ in range(steps):
+        for step in range(steps):
             if not np.min(self.q) > -1.0:
                 return np.inf
-            K = np.append(np.cumprod(_growth(self.law.f(self.q) * dx)[::-1])[::-1], 1.0)
+            given = self.factor.given(step * dt)
+            own = np.append(np.cumprod(_growth(self.law.f(self.q) * dx)[::-1])[::-1], 1.0)
+            K = own if given is None else given[0]
             neighbour = np.append(self.q[1:], self.q[-1])  # outflow at x = 0
-            F, speed = self.flux(self.law, dx, self.q, neighbour, K[1:], bound)
+            F, speed = self.flux(self.law, dx, self.q, neighbour, K, bound)
             fastest = max(fastest, float(np.max(speed)))
-            if self.flux in (_lax_friedrichs, _local_lax_friedrichs):  # viscosity can carry q to the left end
+            # viscosity can carry q to the left end, and what is given can be largest there
+            if given is not None or self.flux in (_lax_friedrichs, _local_lax_friedrichs):
                 fastest = max(fastest, float(K[0] * np.max(self.law.derivative(np.array([0.0, self.q[0]])))))
             self.q = self.q - dt / dx * np.diff(F, prepend=self.inflow)
             self.W_left -= dt * self.inflow
@@ -135,8 +143,9 @@ class SecondOrder:
     cfl_limit = 1.0
     memory: tuple[str, ...] = ("q", "W_left", "active", "growth", "outflow")
 
-    def __init__(self, law: GridLaw, grid: Grid, q: Array, W_left: float, inflow: float):
+    def __init__(self, law: GridLaw, grid: Grid, q: Array, W_left: float, inflow: float, factor: Factor | None = None):
         self.law, self.grid, self.inflow = law, grid, inflow
+        self.factor = factor or Factor(grid)
         self.q, self.before, self.W_left = q.copy(), q.copy(), W_left
         self.K = np.ones(grid.cells + 1)
         self.growth = self.outflow = 0.0
@@ -147,7 +156,7 @@ class SecondOrder:
         return _heights(self.q, self.grid.dx, self.W_left)
 
     def evaluate(self) -> float:
-        self.law, speed = fill_factor(self.law, self.q, self.grid.dx, self.K)
+        self.law, speed = self.factor.fill(self.law, self.q, self.K)
         return speed
 
     def means(self) -> tuple[int, Array]:
@@ -159,12 +168,15 @@ class SecondOrder:
         self.kept = a, b, self.active, self.W_left, self.growth, self.outflow
         self.before[a:b] = self.q[a:b]
         inflow = self.inflow if a == 0 else 0.0
-        speed, grown, outflow = wavefront.hancock_pass(self.q[a:b], self.grid.dx, dt, steps, inflow, self.law.kernel)
+        factor, idle = self.factor.window(self.law, dt * (np.arange(steps) + 0.5), a, b)
+        speed, grown, outflow = wavefront.hancock_pass(
+            self.q[a:b], self.grid.dx, dt, steps, inflow, self.law.kernel, factor
+        )
         self.W_left -= dt * steps * inflow
         self.growth += grown
         self.outflow += outflow
         self.active = kernels.flat_ends(self.q, a, b - 1, 0.0, 0.0, NEGLIGIBLE)
-        return float(speed)
+        return max(float(speed), idle)
 
     def restore(self) -> None:
         a, b, self.active, self.W_left, self.growth, self.outflow = self.kept
@@ -178,8 +190,11 @@ class SecondOrder:
 class HighOrderConservation(HighOrder):
     """q_t = -F_x with F = K f(q⁻) and q⁻ reconstructed from the cell means."""
 
-    def __init__(self, law: GridLaw, grid: Grid, q: Array, W_left: float, inflow: float, order: str):
-        super().__init__(law, grid, q, order, inflow)
+    def __init__(
+        self, law: GridLaw, grid: Grid, q: Array, W_left: float, inflow: float, order: str,
+        factor: Factor | None = None,
+    ):  # fmt: skip
+        super().__init__(law, grid, q, order, inflow, factor)
         self.memory = (*self.memory, "t")
         self.W_left, self.t = W_left, 0.0
 
@@ -206,11 +221,14 @@ class HighOrderConservation(HighOrder):
         return -np.diff(F) / self.grid.dx
 
 
-def scheme(problem: Problem, grid: Grid, method: str) -> FirstOrder | SecondOrder | HighOrderConservation:
+def scheme(
+    problem: Problem, grid: Grid, method: str, refresh: float | None = None
+) -> FirstOrder | SecondOrder | HighOrderConservation:
     """The scheme of that name: "conservative", or a key of FLUXES or HIGH_ORDER."""
     W = problem.profile.W(grid.nodes, problem.law)
     q = np.diff(W) / grid.dx
     data = (grid_law(problem.law, q), grid, q, float(W[0]), problem.profile.inflow)
+    factor = factor_of(problem, grid, refresh)
     if method in HIGH_ORDER:
-        return HighOrderConservation(*data, HIGH_ORDER[method])
-    return SecondOrder(*data) if method == "conservative" else FirstOrder(*data, FLUXES[method])
+        return HighOrderConservation(*data, HIGH_ORDER[method], factor)
+    return SecondOrder(*data, factor) if method == "conservative" else FirstOrder(*data, FLUXES[method], factor)

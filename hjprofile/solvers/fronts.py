@@ -248,6 +248,7 @@ def track_fronts(
     """
     if fronts < 4:
         raise InputError(f"fronts = {fronts} must be 4 or more")
+    problem.check_invariant("fronts")
     profile = problem.profile
     if profile.inflow:
         raise InputError("front tracking needs q = 0 at the left end; this profile has a flux that enters there")

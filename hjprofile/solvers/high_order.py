@@ -13,10 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.problem.grid import Grid
+from hjprofile.solvers.factor import Factor
 from hjprofile.solvers.grid_law import GridLaw
 from hjprofile.solvers.kernels import grid as kernels
-from hjprofile.solvers.march import BESIDE, Breakdown
-from hjprofile.solvers.run import Array
+from hjprofile.solvers.march import BESIDE
+from hjprofile.solvers.run import Array, Breakdown
 
 Rate = Callable[[Array], Array]
 
@@ -64,8 +65,9 @@ class HighOrder:
 
     memory: tuple[str, ...] = ("state", "active", "growth", "outflow")
 
-    def __init__(self, law: GridLaw, grid: Grid, state: Array, order: str, inflow: float):
+    def __init__(self, law: GridLaw, grid: Grid, state: Array, order: str, inflow: float, factor: Factor | None = None):
         self.law, self.grid, self.order, self.inflow = law, grid, ORDERS[order], inflow
+        self.factor = factor or Factor(grid)
         self.cfl_limit = self.order.cfl_limit
         self.state = state.copy()
         self.q, self.K = np.empty(grid.cells), np.ones(grid.cells + 1)
@@ -89,7 +91,7 @@ class HighOrder:
         if not np.min(self.q) > -1.0:
             raise Breakdown(self.q, self.K)
         self.law = self.law.covering(self.q)
-        return self._speed(self.q, self._fluxes(self.q, self.inflow, self.K)[1], self.K)
+        return self._speed(self.q, self._fluxes(self.q, self.inflow, self.K, self.factor.given())[1], self.K)
 
     def means(self) -> tuple[int, Array]:
         nodes = self.state.size - self.grid.cells
@@ -97,8 +99,8 @@ class HighOrder:
         self.q[a:b] = self._means(self.state[a : b + nodes])
         return a, self.q[a:b]
 
-    def _fluxes(self, q: Array, inflow: float, K: Array) -> tuple[Array, Array]:
-        """F at the nodes and q on their left, from q on the cells; fills K."""
+    def _fluxes(self, q: Array, inflow: float, K: Array, given: Array | None) -> tuple[Array, Array]:
+        """F at the nodes and q on their left, from q on the cells; fills K, by q or as it is given."""
         g = kernels.GHOSTS
         padded = np.empty(q.size + 2 * g)
         padded[g:-g] = q
@@ -106,8 +108,12 @@ class HighOrder:
         edges, F = np.empty(q.size + 1), np.empty(q.size + 1)
         self.order.edges(padded, edges)
         f = self.law.law.f(edges)
-        kernels.exponent_from_nodes(f, self.grid.dx, self.order.high_quadrature, K)
-        np.multiply(np.exp(K, out=K), f, out=F)
+        if given is None:
+            kernels.exponent_from_nodes(f, self.grid.dx, self.order.high_quadrature, K)
+            np.exp(K, out=K)
+        else:
+            K[:] = given[0]
+        np.multiply(K, f, out=F)
         F[0] = inflow
         return F, edges
 
@@ -120,10 +126,10 @@ class HighOrder:
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
         self.kept = self.state.copy(), self.active, self.growth, self.outflow
-        return max(self._step(dt) for _ in range(steps))
+        return max(self._step(dt, step * dt) for step in range(steps))
 
-    def _step(self, dt: float) -> float:
-        """One time step; returns the largest K f' before it."""
+    def _step(self, dt: float, start: float) -> float:
+        """One time step that begins `start` from now; returns the largest K f' before it."""
         cells, nodes = self.grid.cells, self.state.size - self.grid.cells
         reach = kernels.GHOSTS * self.order.stages + 6  # what a step can touch, and six nodes for a quadrature
         a, b = max(self.active[0] - reach, 0), min(self.active[1] + 1 + reach, cells)
@@ -132,18 +138,19 @@ class HighOrder:
         speeds: list[float] = []
 
         def rate(y: Array) -> Array:
-            q = self._means(y[:-2])
+            q = self._means(y[:-3])
             if not np.min(q) > -1.0:
                 raise Breakdown(q, K, a)
-            F, edges = self._fluxes(q, inflow, K)
+            F, edges = self._fluxes(q, inflow, K, self.factor.given(start + y[-1], slice(a, b + 1)))
             if not speeds:  # of states, not of stages
                 speeds.append(self._speed(q, edges, K, a))
-            return np.concatenate([self._rate(F), [K[0] - 1.0, F[-1]]])
+            return np.concatenate([self._rate(F), [K[0] - 1.0, F[-1], 1.0]])
 
         part = slice(a, b + nodes)
-        y = self.order.step(np.concatenate([self.state[part], [self.growth, self.outflow]]), rate, dt)
-        self.state[part] = y[:-2]
-        self.growth, self.outflow = float(y[-2]), float(y[-1])
+        # the last is time, which thereby is at every stage what it is to be
+        y = self.order.step(np.concatenate([self.state[part], [self.growth, self.outflow, 0.0]]), rate, dt)
+        self.state[part] = y[:-3]
+        self.growth, self.outflow = float(y[-3]), float(y[-2])
         self.active = self._flat_ends(a, b + nodes - 1)
         return speeds[0]
 

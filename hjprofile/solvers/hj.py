@@ -13,12 +13,12 @@ import numpy as np
 
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
+from hjprofile.solvers.factor import Factor, factor_of
 from hjprofile.solvers.grid_law import GridLaw, grid_law
 from hjprofile.solvers.high_order import ORDERS, HighOrder
 from hjprofile.solvers.kernels import grid as kernels
 from hjprofile.solvers.kernels import wavefront
 from hjprofile.solvers.march import BESIDE, NEGLIGIBLE
-from hjprofile.solvers.nonlocal_factor import fill_factor
 from hjprofile.solvers.run import Array
 
 Flux = wavefront.LocalLaxFriedrichs | wavefront.LaxFriedrichs | wavefront.Godunov | wavefront.Telescoping
@@ -38,9 +38,12 @@ class HamiltonJacobi:
 
     memory: tuple[str, ...] = ("W", "active", "growth", "outflow")
 
-    def __init__(self, law: GridLaw, grid: Grid, W: Array, flux: type[Flux], inflow: float = 0.0):
+    def __init__(
+        self, law: GridLaw, grid: Grid, W: Array, flux: type[Flux], inflow: float = 0.0, factor: Factor | None = None
+    ):
         self.cfl_limit = 2 / 3 if flux is wavefront.LaxFriedrichs else 1.0
         self.law, self.grid, self.flux, self.inflow = law, grid, flux, inflow
+        self.factor = factor or Factor(grid)
         self.W, self.before = W.copy(), W.copy()
         self.q, self.K = np.empty(grid.cells), np.ones(grid.cells + 1)
         self.growth = self.outflow = 0.0
@@ -49,7 +52,7 @@ class HamiltonJacobi:
 
     def evaluate(self) -> float:
         np.divide(np.diff(self.W), self.grid.dx, out=self.q)
-        self.law, speed = fill_factor(self.law, self.q, self.grid.dx, self.K)
+        self.law, speed = self.factor.fill(self.law, self.q, self.K)
         return speed
 
     def means(self) -> tuple[int, Array]:
@@ -64,11 +67,12 @@ class HamiltonJacobi:
         W = self.W[a : b + 1]
         self.before[a : b + 1] = W
         inflow = self.inflow if a == 0 else 0.0
-        speed, grown = wavefront.hj_pass(W, self.grid.dx, dt, steps, inflow, self.law.kernel, self.flux(bound))
+        factor, idle = self.factor.window(self.law, dt * np.arange(steps), a, b)
+        speed, grown = wavefront.hj_pass(W, self.grid.dx, dt, steps, inflow, self.law.kernel, self.flux(bound), factor)
         self.growth += grown
         self.outflow += float(self.before[b] - W[-1])
         self.active = kernels.flat_ends(self.W, a, b, self.W[0], self.W[-1], NEGLIGIBLE)
-        return float(speed)
+        return max(float(speed), idle)
 
     def restore(self) -> None:
         a, b, self.active, self.growth, self.outflow = self.kept
@@ -96,10 +100,12 @@ class HighOrderHamiltonJacobi(HighOrder):
         return -F
 
 
-def scheme(problem: Problem, grid: Grid, method: str) -> HamiltonJacobi | HighOrderHamiltonJacobi:
+def scheme(
+    problem: Problem, grid: Grid, method: str, refresh: float | None = None
+) -> HamiltonJacobi | HighOrderHamiltonJacobi:
     """The scheme of that name (a key of FLUXES or ORDERS), set up with the problem's profile."""
     W = problem.profile.W(grid.nodes, problem.law)
-    law = grid_law(problem.law, np.diff(W) / grid.dx)
+    law, factor = grid_law(problem.law, np.diff(W) / grid.dx), factor_of(problem, grid, refresh)
     if method in ORDERS:
-        return HighOrderHamiltonJacobi(law, grid, W, method, problem.profile.inflow)
-    return HamiltonJacobi(law, grid, W, FLUXES[method], problem.profile.inflow)
+        return HighOrderHamiltonJacobi(law, grid, W, method, problem.profile.inflow, factor)
+    return HamiltonJacobi(law, grid, W, FLUXES[method], problem.profile.inflow, factor)

@@ -19,8 +19,9 @@ import numpy as np
 from hjprofile.errors import RunError
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
+from hjprofile.solvers.factor import NOTHING, Factor
 from hjprofile.solvers.grid_law import GridLaw
-from hjprofile.solvers.run import Array, Halt, Keeper, Monitor, State
+from hjprofile.solvers.run import Array, Breakdown, Halt, Keeper, Monitor, State
 
 STEP_FLOOR = 1e-9  # of the run's end: more steps than this allows would take days, ...
 PATIENCE = 20_000  # ... but the first ones can be much shorter than those after them: K falls, and hollows fill
@@ -43,6 +44,7 @@ class Scheme(Protocol):
     def W(self) -> Array: ...
 
     law: GridLaw
+    factor: Factor
     q: Array
     K: Array
     growth: float
@@ -72,17 +74,6 @@ class Scheme(Protocol):
     def volume(self) -> float:
         """∫(u - x) dx by the sum whose change the scheme's own budget states."""
         ...
-
-
-class Breakdown(Exception):
-    """The state is no longer admissible. Carries the cell and q there; `first` is the cell of the grid at q[0]."""
-
-    def __init__(self, q: Array, K: Array, first: int = 0):
-        bad = ~(np.isfinite(q) & (q > -1.0))
-        # K is summed from the right, so the rightmost bad cell is the first to blame
-        elsewhere = np.argmin(q) if np.isfinite(K).all() else np.argmin(np.isfinite(K))
-        cell = int(np.flatnonzero(bad)[-1]) if bad.any() else int(elsewhere)
-        self.cell, self.q = first + cell, float(q[cell])
 
 
 class _StepTooSmall(Exception):
@@ -167,6 +158,22 @@ def _recall(parts: Mapping[str, Any], stored: Mapping[str, Array]) -> None:
                 setattr(what, name, tuple(value.tolist()) if isinstance(present, tuple) else value.item())
 
 
+def _targets(problem: Problem, refresh: float | None) -> tuple[Array, frozenset[float]]:
+    """Times after 0 that are hit exactly: those that are kept, the end, and nΔt, when the factor is taken anew.
+
+    The latter are returned apart as well. What differs by rounding only is one time.
+    """
+    end = problem.end
+    targets = np.unique(np.append(problem.times[problem.times > 0.0], end if end else []))
+    if not refresh or not end:
+        return targets, frozenset()
+    due = refresh * np.arange(1, math.floor(end / refresh + 1e-9) + 1)
+    i = np.clip(np.searchsorted(targets, due), 1, max(targets.size - 1, 1))
+    for near in (targets[i - 1], targets[np.minimum(i, targets.size - 1)]):
+        due = np.where(np.abs(near - due) <= 1e-9 * refresh, near, due)
+    return np.union1d(targets, due), frozenset(due.tolist())
+
+
 def march(
     scheme: Scheme, problem: Problem, grid: Grid, cfl: float,
     monitors: Mapping[str, Monitor] = NOBODY, progress: Callable[[float], None] | None = None,
@@ -182,18 +189,34 @@ def march(
     kept = problem.times
     recorder, pace = _Recorder(kept.size, grid), _Pace()
     close_leap = max(6, int(grid.cells * CLOSE_WAY))
-    longest_leap = min(MOST_STEPS, max(1, int(grid.cells * MOST_WAY)))
-    parts: dict[str, Any] = {"pace": pace, "recorder": recorder, "scheme": scheme, **monitors}
-    bound, dt, status = 0.0, 0.0, "done"
+    factor = scheme.factor
+    longest_leap = min(MOST_STEPS, max(1, int(grid.cells * MOST_WAY)), factor.steps)
+    parts: dict[str, Any] = {"pace": pace, "recorder": recorder, "scheme": scheme, "factor": factor, **monitors}
+    targets, due = _targets(problem, factor.refresh)
+    bound, dt, status, held = 0.0, 0.0, "done", factor.held
 
     def present(t: float, steps: int, speed: float) -> State:
         first, q = scheme.means()
         if not np.min(q) > -1.0:  # nor NaN
             raise Breakdown(q, scheme.K, first)
         scheme.law = scheme.law.covering(q)
+        K = factor.given(nodes=slice(first, first + q.size + 1))
         return State(
-            t, steps, first, q, scheme.law.kernel, speed, bound, dt, scheme.growth, scheme.outflow, scheme.volume
-        )
+            t, steps, first, q, scheme.law.kernel, speed, bound, dt, scheme.growth, scheme.outflow, scheme.volume,
+            None if K is None else K[0],
+        )  # fmt: skip
+
+    def renew() -> float:
+        """Takes the factor anew; returns the largest K f'."""
+        factor.held = NOTHING
+        speed = scheme.evaluate()
+        factor.held = scheme.K.copy()
+        return speed
+
+    def back() -> None:
+        """To the state before the last steps."""
+        scheme.restore()
+        factor.t, factor.held = pace.t, held
 
     def watch(state: State, every: bool = False) -> None:
         for monitor in monitors.values():
@@ -207,7 +230,7 @@ def march(
         recorder.save(pace.t, scheme)
 
     try:
-        pace.speed = scheme.evaluate()
+        pace.speed = renew() if factor.refresh else scheme.evaluate()
     except Breakdown as broken:
         x = grid.centres[broken.cell]
         raise RunError(
@@ -219,12 +242,12 @@ def march(
     with keeper or nullcontext():
         if keeper and (stored := keeper.recall(identity)):
             _recall(parts, stored)
+            factor.t = pace.t
             scheme.evaluate()
         else:
             watch(present(0.0, 0, pace.speed), every=True)
             if kept[0] == 0.0:
                 save()
-        targets = np.unique(np.append(kept[kept > 0.0], problem.end if problem.end else []))
         try:
             for target in targets[targets > pace.t]:
                 while pace.t < target:
@@ -237,45 +260,50 @@ def march(
                     elif dt < STEP_FLOOR * problem.end and (pace.steps > PATIENCE or cfl > 1.0):
                         raise _StepTooSmall
                     leap = min(needed, pace.most, close_leap if pace.t < pace.close_until else MOST_STEPS)
-                    started = time.perf_counter()
+                    started, held = time.perf_counter(), factor.held
                     try:
                         met = scheme.advance(dt, leap, bound)
                         pace.seconds += time.perf_counter() - started
                         if bound < met < np.inf and (cfl <= 1.0 or leap > 1):
-                            scheme.restore()
+                            back()
                             if cfl <= 1.0:
                                 pace.outgrown = met
                             else:  # no bound is promised; each step by the speed before it, to show what comes of it
                                 pace.most = max(1, leap // 4)
                             continue
-                        state = present(float(target) if leap == needed else pace.t + leap * dt, pace.steps + leap, met)
+                        factor.t = float(target) if leap == needed else pace.t + leap * dt
+                        if leap == needed and target in due:
+                            renewed = renew()
+                        state = present(factor.t, pace.steps + leap, met)
                         if not met < np.inf:
                             raise Breakdown(state.q, np.full(1, np.inf), state.first)
                     except Breakdown:
                         if leap == 1:
                             raise
-                        scheme.restore()  # and once more, to find out where
+                        back()  # and once more, to find out where
                         pace.most = max(1, leap // 4)
                         continue
                     if leap > close_leap and happened(state):
                         pace.close_until = state.t
-                        scheme.restore()
+                        back()
                         continue
                     watch(state, every=leap == needed and target == targets[-1])
                     pace.rise = min(max(met / pace.speed - 1.0, 0.0), 1.0)
                     pace.t, pace.steps, pace.speed, pace.outgrown = state.t, state.steps, met, 0.0
                     pace.most = min(2 * pace.most, longest_leap)
                     pace.shortest, pace.longest = min(pace.shortest, dt), max(pace.longest, dt)
+                    if pace.t == target and target in due:
+                        pace.speed = max(pace.speed, renewed)
                     if pace.t == target and target in kept:
                         save()
                     if keeper and keeper.due():
                         keeper.keep(pace.t, _remember(parts))
         except Breakdown as broken:
-            scheme.restore()
+            back()
             pace.speed = scheme.evaluate()
             status = _breakdown_sentence(broken, scheme.K[broken.cell + 1], grid, pace.t, dt, cfl)
         except Halt as halt:
-            scheme.restore()
+            back()
             scheme.evaluate()
             status = f"stopped at t = {pace.t:.6g}: {halt}"
         except _StepTooSmall:

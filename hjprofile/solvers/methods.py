@@ -38,7 +38,8 @@ PROMISES: Mapping[str, Promises] = MappingProxyType(
         **{f"{form}local-lax-friedrichs": LOCAL for form in ("", "conservative-")},
     }
 )
-METHODS = (*HJ_METHODS, *CONSERVATIVE_METHODS, "fronts", "characteristics", "auto")
+OFF_GRID = ("fronts", "characteristics", "auto")
+METHODS = (*HJ_METHODS, *CONSERVATIVE_METHODS, *OFF_GRID)
 
 
 def solve_hj(
@@ -47,15 +48,17 @@ def solve_hj(
     method: str = DEFAULT_METHOD,
     cfl: float = DEFAULT_CFL,
     progress: Progress | None = None,
+    refresh: float | None = None,
 ) -> Run:
     """Solves u_t + K f(u_x - 1) = 0 with a monotone first-order scheme on the nodes.
 
-    `method` is one of HJ_METHODS, `cfl` the time step as a part of the largest monotone one. Raises InputError for bad
-    input; a run that breaks down returns what was good, with the reason in `status`.
+    `method` is one of HJ_METHODS, `cfl` the time step as a part of the largest monotone one, `refresh` how long the
+    factor is kept before it is taken anew (theory, §10; None: anew in every step). Raises InputError for bad input; a
+    run that breaks down returns what was good, with the reason in `status`.
     """
     _known(method, HJ_METHODS)
     problem.check(grid)
-    return _solve(hj.scheme(problem, grid, method), problem, grid, method, cfl, progress)
+    return _solve(hj.scheme(problem, grid, method, refresh), problem, grid, method, cfl, progress)
 
 
 def solve_conservative(
@@ -64,6 +67,7 @@ def solve_conservative(
     method: str = "conservative",
     cfl: float = DEFAULT_CFL,
     progress: Progress | None = None,
+    refresh: float | None = None,
 ) -> Run:
     """Solves q_t + (K f(q))_x = 0 on the cells; `method` is one of CONSERVATIVE_METHODS.
 
@@ -72,7 +76,7 @@ def solve_conservative(
     """
     _known(method, CONSERVATIVE_METHODS)
     problem.check(grid)
-    return _solve(conservation.scheme(problem, grid, method), problem, grid, method, cfl, progress)
+    return _solve(conservation.scheme(problem, grid, method, refresh), problem, grid, method, cfl, progress)
 
 
 def solve(problem: Problem, tolerance: float, grid: Grid | None = None, progress: Progress | None = None) -> Run:
@@ -114,6 +118,13 @@ def check_method(case: Case) -> None:
         most = COARSEST if case.method == "characteristics" else 1.0
         if case.tolerance is not None and not FINEST <= case.tolerance <= most:
             raise InputError(f"tolerance = {case.tolerance:g} must lie between {FINEST:g} and {most:g}")
+        if case.method in OFF_GRID:
+            case.problem.check_invariant(case.method)
+            if case.refresh is not None:
+                raise InputError(
+                    f"refresh applies to methods on a grid; {case.method} follows the invariant I, which a factor that "
+                    "is kept does not have"
+                )
         if case.tolerance is None and case.method == "auto":
             raise InputError("method = 'auto' needs a tolerance")
     except InputError as error:
@@ -131,7 +142,8 @@ def solve_case(case: Case, progress: Progress | None = None, strict: bool = Fals
     if method in HJ_METHODS or method in CONSERVATIVE_METHODS:
         problem.check(grid)
         form = hj if method in HJ_METHODS else conservation
-        return _solve(form.scheme(problem, grid, method), problem, grid, method, case.cfl, progress, strict, keeper)
+        scheme = form.scheme(problem, grid, method, case.refresh)
+        return _solve(scheme, problem, grid, method, case.cfl, progress, strict, keeper)
     if method == "auto":
         assert case.tolerance is not None
         run = solve(problem, case.tolerance, grid, progress)
@@ -159,12 +171,15 @@ def _solve(
         raise InputError(f"cfl = {cfl} must be a positive number")
     bounds = BoundsMonitor(
         problem.law, grid, scheme.W, problem.profile.inflow, problem.end, PROMISES[method],
-        hj.FLUXES.get(method.removeprefix("conservative-")), strict,
+        hj.FLUXES.get(method.removeprefix("conservative-")), strict, problem.coefficient, scheme.factor.refresh,
     )  # fmt: skip
     tracker = KinkTracker(problem.law, grid)
-    case = resolved_case(problem, grid, method, cfl)
+    case = resolved_case(problem, grid, method, cfl, refresh=scheme.factor.refresh)
     # two runs are the same if they have the same case, and what it names is the same
-    data = hashlib.sha256(scheme.W.tobytes() + problem.law.f(np.linspace(-0.9, 9.0, 100)).tobytes()).hexdigest()
+    named = [scheme.W, problem.law.f(np.linspace(-0.9, 9.0, 100))]
+    if problem.coefficient is not None:
+        named += [problem.coefficient.values(t, grid.nodes) for t in (0.0, 0.5 * problem.end, problem.end)]
+    data = hashlib.sha256(b"".join(a.tobytes() for a in named)).hexdigest()
     record = march(
         scheme, problem, grid, cfl, {"bounds": bounds, "kinks": tracker}, progress, tracker.happened,
         keeper, case | {"data": data, "strict": strict},

@@ -27,10 +27,22 @@ class State(NamedTuple):
     growth: float  # ∫(K(left) - 1) dt so far: grains that left at the foot beyond those poured in
     outflow: float  # ∫F(x = 0) dt so far
     volume: Callable[[], float]  # ∫(u - x) dx by the method's own sum
+    K: Array | None = None  # the factor at the nodes of these cells, if q does not decide it
 
 
 class Halt(Exception):
     """Raised by a monitor that stops the run; the message says why, and what to try."""
+
+
+class Breakdown(Exception):
+    """The state is no longer admissible. Carries the cell and q there; `first` is the cell of the grid at q[0]."""
+
+    def __init__(self, q: Array, K: Array, first: int = 0):
+        bad = ~(np.isfinite(q) & (q > -1.0))
+        # K is summed from the right, so the rightmost bad cell is the first to blame
+        elsewhere = np.argmin(q) if np.isfinite(K).all() else np.argmin(np.isfinite(K))
+        cell = int(np.flatnonzero(bad)[-1]) if bad.any() else int(elsewhere)
+        self.cell, self.q = first + cell, float(q[cell])
 
 
 class Monitor(Protocol):
@@ -124,7 +136,7 @@ class Run:
         case: the resolved case, as a table ready for TOML.
         time: shape (times,).
         x, x_cell: nodes (cells + 1,) and midpoints of cells (cells,).
-        u, K: on nodes, shape (times, cells + 1). u is the height, K the nonlocal factor.
+        u, K: on nodes, shape (times, cells + 1). u is the height, K the factor of the flux that was used from then on.
         q: cell means of u_x - 1, shape (times, cells).
         status: "done", or a sentence that says when, where and why the run stopped and what to try. The last saved
             time is then the last good state.

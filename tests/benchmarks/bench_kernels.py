@@ -14,6 +14,7 @@ from hjprofile.solvers.kernels.wavefront import (
     Godunov,
     LaxFriedrichs,
     LocalLaxFriedrichs,
+    Nonlocal,
     Telescoping,
     hancock_pass,
     hj_pass,
@@ -34,7 +35,7 @@ def kink(cells):
 def sweep(kernel, flux, law):
     def steps(cells):
         W, _, dx, dt = kink(cells)
-        return lambda: kernel(W.copy(), dx, dt, LEVELS, 0.0, law, flux(2.5))
+        return lambda: kernel(W.copy(), dx, dt, LEVELS, 0.0, law, flux(2.5), Nonlocal())
 
     return steps
 
@@ -42,7 +43,7 @@ def sweep(kernel, flux, law):
 def second_order_sweep(kernel, law):
     def steps(cells):
         _, q, dx, dt = kink(cells)
-        return lambda: kernel(q.copy(), dx, dt, LEVELS, 0.0, law)
+        return lambda: kernel(q.copy(), dx, dt, LEVELS, 0.0, law, Nonlocal())
 
     return steps
 

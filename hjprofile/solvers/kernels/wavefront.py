@@ -52,6 +52,20 @@ class Telescoping(NamedTuple):
     bound: float
 
 
+class Nonlocal(NamedTuple):
+    """The factor is K of the state itself, carried along from the right."""
+
+
+class Given(NamedTuple):
+    """The factor is given at the nodes.
+
+    Attributes:
+        k: shape (levels, nodes), or (1, nodes) if it is the same at every level.
+    """
+
+    k: np.ndarray
+
+
 @vectorised
 def growth(z):
     """K_{i-1}/K_i for z = f Δx in schemes of first order: e^z to second order; positive, and bounded below."""
@@ -76,6 +90,49 @@ def is_local(flux):
 
 def node_flux(flux, law, l, K, d, d_right, df_right, dx, rows):
     """At a node, from d = q dx on either side: f dx and f' on its left, F dx, and the K f' that bounds the step."""
+
+
+def read_factor(factor, node, lag, k):
+    """Fills k, an array of lanes, if the factor is given: at `node` in the first level, `lag` more in each next."""
+
+
+def factor_at(own, factor, k):
+    """The factor: `own`, which K of the state comes to, or k, which was read."""
+
+
+def across(K, z, factor, k):
+    """From K right of a cell, f dx in it and k, read on its left: K in its middle, and its rise to the left by that."""
+
+
+@overload(read_factor)
+def _read_factor(factor, node, lag, k):
+    if factor.instance_class is Nonlocal:
+        return lambda factor, node, lag, k: None
+
+    def given(factor, node, lag, k):
+        levels, nodes = factor.k.shape
+        for l in range(LANES):  # lanes that have nothing to do would ask for nodes that are not there
+            level = LANES - 1 - l
+            k[l] = factor.k[min(level, levels - 1), min(max(node + lag * level, 0), nodes - 1)]
+
+    return given
+
+
+@overload(factor_at)
+def _factor_at(own, factor, k):
+    return (lambda own, factor, k: own) if factor.instance_class is Nonlocal else (lambda own, factor, k: k)
+
+
+@overload(across)
+def _across(K, z, factor, k):
+    if factor.instance_class is Nonlocal:
+        return lambda K, z, factor, k: (K * (1.0 + 0.5 * z), z)
+
+    def given(K, z, factor, k):
+        middle = 0.5 * (k + K)
+        return middle, (k - K) / middle
+
+    return given
 
 
 @overload(looks_ahead)
@@ -123,11 +180,11 @@ def _node_flux(flux, law, l, K, d, d_right, df_right, dx, rows):
 
 
 @vectorised
-def hj_pass(W, dx, dt, levels, inflow, law, flux):
+def hj_pass(W, dx, dt, levels, inflow, law, flux, factor):
     """Advances W (nodes from left to right) by `levels` <= LANES forward Euler steps W_i -= dt F_i, in place.
 
-    F is `inflow` at the left end, and K is 1 and q the same on both sides at the right end. Returns the largest K f'
-    of all steps and ∫(K(left) - 1) dt.
+    F is `inflow` at the left end; at the right end q is the same on both sides, and K is 1 if it is not given. Returns
+    the largest K f' of all steps and ∫(K(left) - 1) dt.
     """
     n = W.size - 1
     ratio, per_dx = dt / dx, 1.0 / dx
@@ -136,7 +193,7 @@ def hj_pass(W, dx, dt, levels, inflow, law, flux):
     d_right, df_right, fastest = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
     K_right = np.ones(LANES)
     rows = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)  # f, f' and f at the mean, where they are read
-    p = np.zeros(LANES)
+    p, k_left = np.zeros(LANES), np.ones(LANES)
     right[LANES - 1] = W[n]
     grown = speed_met = 0.0
     for step in range(n + 2 * levels - 1):
@@ -145,7 +202,9 @@ def hj_pass(W, dx, dt, levels, inflow, law, flux):
         starts = step % 2 == 0 and start >= last
         if starts:
             K[start], fastest[start] = 1.0, 0.0
-            K_right[start] = 1.0
+            read_factor(factor, n - step, 2, k_left)
+            K[start] = factor_at(K[start], factor, k_left[start])
+            K_right[start] = K[start]
             d_right[start] = right[start] - row[start + 1]
         at_left = step >= n and (step - n) % 2 == 0
         if at_left:
@@ -162,6 +221,7 @@ def hj_pass(W, dx, dt, levels, inflow, law, flux):
                 for l in range(LANES):
                     p[l] = 1.0 + (d_right[l] + (right[l] - row[l + 1])) * (0.5 * per_dx)
                 read_f(p, law, rows[2])
+        read_factor(factor, n - 1 - step, 2, k_left)
         if looks_ahead(flux) and starts:
             _, df_right[start] = eroded(start, d_right[start], dx, law, rows[0], rows[1])
         for l in range(LANES):
@@ -171,6 +231,7 @@ def hj_pass(W, dx, dt, levels, inflow, law, flux):
             z, df, F, speed = node_flux(flux, law, l, K[l], d, d_right[l], df_right[l], dx, rows)
             row[l] = here - ratio * F
             K_left = K[l] * growth(z)
+            K_left = factor_at(K_left, factor, k_left[l])
             if is_local(flux):
                 speed *= max(max(K_left, K_right[l]), K[l])
                 K_right[l] = K[l]
@@ -194,13 +255,13 @@ def limited(back, ahead):
 
 
 @vectorised
-def hancock_pass(q, dx, dt, levels, inflow, law):
+def hancock_pass(q, dx, dt, levels, inflow, law, factor):
     """Advances cell means q (from left to right) by `levels` <= LANES MUSCL-Hancock steps, in place.
 
-    A step takes q and K half a step ahead by q_t = K f² - K f' q_x and the flux from there, with K by the midpoint
-    rule. At either end of the grid slopes are one-sided; the flux is `inflow` at the left end. No edge value lies
-    further than FLOOR_SHARE of 1 + q from its mean, which keeps q > -1. Returns the largest K f' of all steps,
-    ∫(K(left) - 1) dt and ∫F(right) dt.
+    A step takes q and K half a step ahead by q_t = -K_x f - K f' q_x and the flux from there, with K by the midpoint
+    rule, or as it is given for that half step. At either end of the grid slopes are one-sided; the flux is `inflow` at
+    the left end. No edge value lies further than FLOOR_SHARE of 1 + q from its mean, which keeps q > -1. Returns the
+    largest K f' of all steps, ∫(K(left) - 1) dt and ∫F(right) dt.
     """
     n = q.size
     ratio = dt / dx
@@ -208,6 +269,7 @@ def hancock_pass(q, dx, dt, levels, inflow, law):
     row, here, ahead, K = np.zeros(LANES + 1), np.zeros(LANES), np.zeros(LANES), np.ones(LANES)
     edge, z, flux, fastest = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
     f, df, f_edge, df_edge, p = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+    k_left = np.ones(LANES)
     here[LANES - 1] = q[n - 1]
     grown = outflow = speed_met = 0.0
     for step in range(n + 3 * levels - 2):
@@ -216,6 +278,8 @@ def hancock_pass(q, dx, dt, levels, inflow, law):
         starts = step % 3 == 0 and start >= last
         if starts:
             K[start], fastest[start] = 1.0, 0.0
+            read_factor(factor, n - step, 3, k_left)
+            K[start] = factor_at(K[start], factor, k_left[start])
             ahead[start] = 2.0 * here[start] - row[start + 1]
         first, beyond = LANES - 1 - (step - n + 1) // 3, LANES - 1 - (step - n) // 3
         if step >= n - 1 and (step - n + 1) % 3 == 0:  # at the first cell
@@ -225,6 +289,7 @@ def hancock_pass(q, dx, dt, levels, inflow, law):
             value = ahead[beyond] - ratio * (flux[beyond] - inflow)
             grown += dt * (K[beyond] - 1.0)
             speed_met = max(speed_met, fastest[beyond])
+        read_factor(factor, n - 1 - step, 3, k_left)
         if is_table(law):
             for l in range(LANES):
                 p[l] = 1.0 + here[l]
@@ -235,7 +300,8 @@ def hancock_pass(q, dx, dt, levels, inflow, law):
             most = FLOOR_SHARE * (1.0 + here[l])
             half = max(min(half, most), -most)
             z_here = f_here * dx
-            rise = K[l] * (1.0 + 0.5 * z_here) * (0.5 * ratio * f_here * z_here - ratio * df_here * half)
+            middle, drop = across(K[l], z_here, factor, k_left[l])
+            rise = middle * (0.5 * ratio * f_here * drop - ratio * df_here * half)
             edge[l] = here[l] + half + rise
             z[l] = z_here + df_here * rise * dx
             df[l] = df_here
@@ -251,6 +317,7 @@ def hancock_pass(q, dx, dt, levels, inflow, law):
             flux[l] = F
             fastest[l] = max(fastest[l], K[l] * max(df[l], df_out))
             K[l] *= fine_growth(z[l])
+            K[l] = factor_at(K[l], factor, k_left[l])
             ahead[l], here[l] = here[l], left
         if starts:
             outflow += dt * flux[start]

@@ -1,0 +1,147 @@
+"""A coefficient k(t, x) > 0 that is prescribed in place of the nonlocal factor: q_t + (k f(q))_x = 0 [eq:fixed_k]."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hjprofile.errors import InputError, RunError
+from hjprofile.problem.erosion import load_function
+from hjprofile.problem.expressions import arithmetic
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """k(t, x), which the flux k f(q) has for a factor (theory, §9).
+
+    Attributes:
+        function: (t, x) -> k, for arrays that broadcast against each other.
+        table: the `[coefficient]` table of a case file that makes it again.
+        steady: whether k is known not to depend on t.
+        left, end: where k is known: for left <= x <= 0, 0 <= t <= end.
+    """
+
+    function: Callable[[Any, Any], Any]
+    table: Mapping[str, Any]
+    steady: bool = False
+    left: float = -np.inf
+    end: float = np.inf
+
+    def values(self, t: Any, x: Any) -> Array:
+        """k at times t and places x, arrays that broadcast against each other.
+
+        Raises RunError, which says where, if k is not a positive number.
+        """
+        t, x = np.asarray(t, dtype=float), np.asarray(x, dtype=float)
+        with np.errstate(all="ignore"):
+            try:
+                k = np.asarray(self.function(t, x), dtype=float)
+            except Exception as error:  # whatever a user's function raises
+                raise RunError(f"the coefficient cannot be evaluated: {type(error).__name__}: {error}") from error
+            k = np.array(np.broadcast_to(k, np.broadcast_shapes(t.shape, x.shape)))
+            wrong = ~(np.isfinite(k) & (k > 0.0))
+        if wrong.any():
+            at = np.unravel_index(np.argmax(wrong), k.shape)
+            t, x = np.broadcast_arrays(t, x)
+            raise RunError(
+                f"the coefficient k = {k[at]:.6g} at t = {t[at]:.6g}, x = {x[at]:.6g} is not a positive number"
+            )
+        return k
+
+    def check(self, x: Array, end: float) -> None:
+        """Raises InputError unless k is known on these nodes up to `end`, and positive there at either end of time."""
+        if self.left > x[0] + 1e-9 * abs(x[0]):
+            raise InputError(f"the coefficient is known from x = {self.left:g} on, and the domain begins at {x[0]:g}")
+        if self.end < end * (1.0 - 1e-9):
+            raise InputError(f"the coefficient is known until t = {self.end:g}, and the run ends at {end:g}")
+        try:
+            for t in (0.0, end):
+                self.values(t, x)
+        except RunError as error:
+            raise InputError(str(error)) from None
+
+
+def coefficient(k: str | Callable[..., Any], table: Mapping[str, Any] | None = None) -> Coefficient:
+    """A coefficient from an expression in t and x, or from a Python function k(t, x), or k(x) where time is no matter.
+
+    The function may take arrays that broadcast, or single numbers only (slower). An expression is made of numbers,
+    + - * / **, exp, log, log1p, expm1, sqrt. Raises InputError for anything else.
+    """
+    if isinstance(k, str):
+        checked = arithmetic(k, "t", "x")
+        return Coefficient(checked.value, {"kind": "expression", "expression": k.strip()}, "t" not in checked.used)
+    if not callable(k):
+        raise InputError(f"coefficient = {k!r} must be a function of t and x, or an expression in them")
+    name, home = getattr(k, "__name__", "k"), getattr(k, "__module__", "")
+    table = table or {"kind": "python", "file": home, "function": name}
+    try:
+        steady = len(inspect.signature(k).parameters) == 1
+    except (TypeError, ValueError):  # compiled functions need not say what they take
+        steady = False
+    return Coefficient(_over_arrays((lambda t, x: k(x)) if steady else k), table, steady)
+
+
+def from_file(path: Path, function: str, file: str | None = None) -> Coefficient:
+    """A coefficient from the function of that name in a Python file, which is run."""
+    return coefficient(
+        load_function(path, function), {"kind": "python", "file": file or str(path), "function": function}
+    )
+
+
+def stored_coefficient(result: str | Path, base: Path = Path()) -> Coefficient:
+    """The factor K of a run that was stored in a result folder, as a coefficient.
+
+    ln K is linear in t and in x between the saved times and the nodes. Raises InputError if there is no such run.
+    """
+    from scipy.io import netcdf_file
+
+    path = base / result / "profile.nc"
+    try:
+        with netcdf_file(path, "r", mmap=False) as file:
+            time, x, K = (np.array(file.variables[name][:], dtype=float) for name in ("time", "x", "K"))
+    except OSError as error:
+        raise InputError(f"result = {str(result)!r} is not a result folder: {path} cannot be read: {error}") from None
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        raise InputError(f"result = {str(result)!r}: {path} is not a stored run: {type(error).__name__}") from None
+    if K.shape != (time.size, x.size) or not time.size or x.size < 2 or not np.all(K > 0.0):
+        raise InputError(f"result = {str(result)!r} holds no positive K at its saved times and nodes")
+    if time[0] > 0.0:
+        raise InputError(f"result = {str(result)!r} begins at t = {time[0]:g}; K is needed from t = 0 on")
+    ln_K = np.log(K)
+
+    def between(t: Array, x_asked: Array) -> Array:
+        (j, after), (i, right) = _place(time, t), _place(x, x_asked)
+        j_next = np.minimum(j + 1, time.size - 1)
+        before = (1.0 - right) * ln_K[j, i] + right * ln_K[j, i + 1]
+        return np.exp((1.0 - after) * before + after * ((1.0 - right) * ln_K[j_next, i] + right * ln_K[j_next, i + 1]))
+
+    table = {"kind": "run", "result": str(result)}
+    return Coefficient(between, table, time.size == 1, float(x[0]), float(time[-1]))
+
+
+def _place(knots: Array, at: Array) -> tuple[Array, Array]:
+    """The interval between knots, and the part of it that lies before `at`; what lies outside is brought to an end."""
+    at = np.clip(at, knots[0], knots[-1])
+    i = np.clip(np.searchsorted(knots, at, "right") - 1, 0, max(knots.size - 2, 0))
+    width = knots[np.minimum(i + 1, knots.size - 1)] - knots[i]
+    return i, np.divide(at - knots[i], width, out=np.zeros_like(at), where=width > 0.0)
+
+
+def _over_arrays(k: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """k itself if it maps arrays element by element, else a loop over it."""
+    t, x = np.array([[0.0], [0.25]]), np.array([-0.5, -0.25, 0.0])
+    try:
+        values = np.broadcast_to(np.asarray(k(t, x), dtype=float), (2, 3))
+        alone = [[float(k(float(a), float(b))) for b in x] for a in t[:, 0]]
+        if np.allclose(values, alone, rtol=1e-12, atol=0.0, equal_nan=True):
+            return k
+    except Exception:  # whatever a scalar function raises when it is handed an array
+        pass
+    return np.vectorize(k, otypes=[float])

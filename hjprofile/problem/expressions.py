@@ -1,0 +1,80 @@
+"""Arithmetic written as text: checked against a short list before anything is compiled."""
+
+from __future__ import annotations
+
+import ast
+import warnings
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hjprofile.errors import InputError
+
+_FUNCTIONS = {name: getattr(np, name) for name in ("exp", "log", "log1p", "expm1", "sqrt")}
+_NODES = (
+    ast.Expression, ast.BinOp, ast.UnaryOp, ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.UAdd, ast.USub,
+    ast.Name, ast.Load, ast.Call, ast.Constant,
+)  # fmt: skip
+
+
+class Arithmetic(NamedTuple):
+    """A checked expression: `value` takes one array for each variable, `used` holds the variables that occur in it."""
+
+    value: Callable[..., Any]
+    used: frozenset[str]
+
+
+class _FloatConstants(ast.NodeTransformer):
+    """Turns integers into floats, so that no power of integers can grow without bound."""
+
+    def visit_Constant(self, node: ast.Constant) -> ast.Constant:
+        return ast.copy_location(ast.Constant(float(node.value)), node)  # type: ignore[arg-type]
+
+
+def arithmetic(text: str, *variables: str) -> Arithmetic:
+    """An arithmetic expression in these variables: numbers, + - * / **, exp, log, log1p, expm1, sqrt.
+
+    The syntax tree is checked against that list before anything is compiled. Where the value is no real number it is
+    NaN. Raises InputError for anything else.
+    """
+    allowed = f"allowed are numbers, {', '.join(variables)}, + - * / ** and the functions {', '.join(_FUNCTIONS)}"
+    if len(text) > 1000:
+        raise InputError(f"expression is {len(text)} characters long; at most 1000 are allowed")
+    used = set()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of '1or q' and the like, none of which is on the list
+            tree = ast.parse(text.strip(), mode="eval")
+        called = {id(n.func) for n in ast.walk(tree) if isinstance(n, ast.Call)}
+        for node in ast.walk(tree):
+            fine = isinstance(node, _NODES)
+            if isinstance(node, ast.Constant):
+                fine = isinstance(node.value, (int, float)) and not isinstance(node.value, bool)
+                fine = fine and bool(np.isfinite(float(node.value)))  # type: ignore[arg-type]
+            elif isinstance(node, ast.Name):
+                fine = node.id in (_FUNCTIONS if id(node) in called else variables)
+                used.add(node.id)
+            elif isinstance(node, ast.Call):
+                fine = isinstance(node.func, ast.Name) and len(node.args) == 1 and not node.keywords
+            if not fine:
+                part = ast.unparse(node) or type(node).__name__
+                raise InputError(f"expression = {text!r} contains {part!r}; {allowed}")
+        tree = ast.fix_missing_locations(_FloatConstants().visit(tree))
+        code = compile(tree, "<expression>", "eval")
+    except (SyntaxError, RecursionError, MemoryError, OverflowError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"expression = {text!r} is not an arithmetic expression; {allowed}") from None
+
+    def value(*arguments: Any) -> Any:
+        arrays = [np.asarray(a, dtype=float) for a in arguments]
+        nothing = 0.0 * sum(arrays)  # gives a constant the shape of the variables
+        with np.errstate(all="ignore"):
+            try:
+                result = eval(code, {"__builtins__": {}, **_FUNCTIONS, **dict(zip(variables, arrays, strict=True))})
+            except (ArithmeticError, RecursionError):  # among constants: 1/0, 9.0**9.0**9.0
+                result = np.nan
+            return np.nan + nothing if np.iscomplexobj(result) else result + nothing  # complex: (-1)**0.5
+
+    return Arithmetic(value, frozenset(used & set(variables)))
