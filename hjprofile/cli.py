@@ -184,6 +184,31 @@ def stability(case: str, /, *, out: Out = None) -> None:
 
 
 @app.command
+def dependence(case: str, /, *, out: Out = None) -> None:
+    """Follow how far solutions come apart that begin close together, or erode by close coefficients, on one case.
+
+    Writes dependence.csv and dependence.png; ends with exit code 1 if a distance exceeds its bound.
+    """
+    from hjprofile.evidence.dependence import Distance, summary
+    from hjprofile.evidence.dependence import dependence as study
+    from hjprofile.output.plots import dependence_picture
+    from hjprofile.output.store import open_folder, to_csv, write_whole
+
+    folder, (loaded,) = _cases((case,), out)
+    open_folder(folder)
+    with _Progress(f"disturbing {loaded.name}") as progress:
+        distances = study(loaded.name, loaded.problem, loaded.grid, progress)
+    sentences, failed = summary(distances)
+    print(f"{loaded.name}:")
+    print("\n".join(f"  {sentence}" for sentence in sentences))
+    write_whole(folder / "dependence.csv", to_csv(Distance._fields, distances))
+    write_whole(folder / "dependence.png", dependence_picture(distances))
+    print(f"written to {folder}: dependence.csv, dependence.png")
+    if failed:
+        raise RunError(f"{loaded.source}: {failed}")
+
+
+@app.command
 def plot(result: Path, /, *, out: Into = None) -> None:
     """Draw the pictures of a result folder again, into it or into another folder."""
     from hjprofile.output.plots import pictures

@@ -18,6 +18,7 @@ import tomli_w
 
 import hjprofile
 from hjprofile import cli
+from hjprofile.evidence import dependence
 from hjprofile.evidence import stability as study
 from hjprofile.output.checkpoint import NAME, Checkpoint
 from hjprofile.output.store import load_run
@@ -33,7 +34,7 @@ SCENE = {
     "time": {"end": 4.0, "snapshots": 5},
 }
 BARE = {"output": {"vtk": False, "plots": False}}
-COMMANDS = ("run", "check", "chart", "stability", "plot", "export", "cases")
+COMMANDS = ("run", "check", "chart", "stability", "dependence", "plot", "export", "cases")
 
 
 def write_case(folder, name="scene", **changes):
@@ -175,6 +176,22 @@ def test_stability_writes_its_table_and_picture(folder, call, monkeypatch):
     assert {row["outcome"] for row in rows} == {"holds", "loses_bounds", "oscillates", "fails"}
     assert {row["case"] for row in rows} == {"bare"} and "nan" not in {v for row in rows for v in row.values()}
     assert Path("results/bare/stability.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_dependence_writes_its_table_and_picture(folder, call, monkeypatch):
+    for name, fewer in (("CELLS", 100), ("PAIRS", 2), ("WAVES", 1), ("REFRESHES", (16, 8))):
+        monkeypatch.setattr(dependence, name, fewer)
+    code, out, err = call("dependence", "bare.toml")
+    assert (code, err) == (0, "") and [line.split()[0] for line in out.splitlines()[1:5]] == [
+        "data", "zero", "coefficient", "refresh",
+    ]  # fmt: skip
+    rows = list(csv.DictReader(Path("results/bare/dependence.csv").read_text().splitlines()))
+    assert list(rows[0]) == ["case", "study", "member", "size", "time", "distance", "bound"]
+    assert {row["study"] for row in rows} == {"data", "zero", "coefficient", "refresh"}
+    assert Path("results/bare/dependence.png").read_bytes().startswith(b"\x89PNG")
+    monkeypatch.setattr(dependence, "ALLOWANCE", -1.0)
+    code, _, err = call("dependence", "bare.toml")
+    assert code == 1 and "times its bound" in err
 
 
 def test_a_resumed_run_says_so(folder, call):

@@ -13,8 +13,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, TwoSlopeNorm
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter, NullFormatter
 
 from hjprofile.evidence.chart import Point, Reference, pareto
+from hjprofile.evidence.dependence import Distance, largest_distances, observed_constant
 from hjprofile.evidence.stability import FAILS, HOLDS, LOSES, OSCILLATES, Trial
 from hjprofile.solvers.run import Array, Run
 
@@ -152,6 +154,66 @@ def draw_stability(trials: Sequence[Trial]) -> Figure:
     key.plot([], [], color="0.3", lw=1.2, ls=":", label="α = Δx/Δt")
     key.legend(loc="center", fontsize=9, frameon=False)
     figure.suptitle(f"Where methods hold and where they fail: {trials[0].case}", fontsize=12, x=0.01, ha="left")
+    return figure
+
+
+def dependence_picture(distances: Sequence[Distance]) -> bytes:
+    """PNG of `draw_dependence`."""
+    return _png(draw_dependence(distances))
+
+
+_SHADES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9")  # of sizes
+
+
+def draw_dependence(distances: Sequence[Distance]) -> Figure:
+    """A panel for each study: distances over time, and for what converges the last ones over size."""
+    studies: dict[str, list[Distance]] = {}
+    for d in distances:
+        studies.setdefault(d.study, []).append(d)
+    figure = _figure(10.0, 7.6)
+    axes = dict(zip(("data", "zero", "coefficient", "refresh"), figure.subplots(2, 2).flat, strict=True))
+    for study in ("data", "zero"):
+        mine, panel = studies[study], axes[study]
+        sizes = np.array([[d.member, d.size] for d in studies["data"]])
+        rank = {m: int(np.log10(sizes[sizes[:, 0] == m, 1][0])) for m in np.unique(sizes[:, 0])}
+        shades = dict(zip(sorted(set(rank.values())), _SHADES, strict=False))
+        for member in dict.fromkeys(d.member for d in mine):
+            t, y = np.array([(d.time, d.distance / d.size) for d in mine if d.member == member]).T
+            panel.plot(t, np.where(y > 1e-3, y, np.nan), color=shades[rank[member]], lw=0.9, alpha=0.7)
+        panel.set_xlabel("t")
+        panel.grid(alpha=0.25, lw=0.5)
+    L = observed_constant(studies["data"])
+    t = np.linspace(0.0, max(d.time for d in distances), 200)
+    axes["data"].set_yscale("log")
+    axes["data"].yaxis.set_major_formatter(LogFormatter(minor_thresholds=(2.0, 0.5)))
+    axes["data"].yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2.0, 0.5)))
+    low, high = axes["data"].get_ylim()
+    axes["data"].plot(t, np.exp(L * t), color="0.3", lw=1.2, ls="--", label=f"$e^{{Lt}}$, L = {L:.3g}")
+    axes["data"].set_ylim(low, 1.5 * high)
+    axes["data"].set_title("two slopes: ‖q - q̃‖₁ / ‖q - q̃‖₁(0)", loc="left", fontsize=10)
+    for rank_, shade in shades.items():
+        axes["data"].plot([], [], color=shade, label=f"‖q - q̃‖₁(0) about {10.0**rank_:g}")
+    axes["zero"].axhline(1.0, color="0.3", lw=1.2, ls="--", label="L = 0")
+    axes["zero"].set_title("a slope and the critical one: ‖q‖₁ / ‖q‖₁(0)", loc="left", fontsize=10)
+    names = {
+        "coefficient": ("coefficients k and k(1 + δ ...): largest ‖q - q̃‖₁", "δ"),
+        "refresh": ("K frozen over fractional steps: largest ‖q - q̃‖₁", "fractional step Δt"),
+    }
+    for study, (title, label) in names.items():
+        panel = axes[study]
+        size, largest = np.array(list(largest_distances(distances, study).values())).T
+        least = size == size.min()
+        for each in largest.reshape(-1, least.sum()).T:
+            panel.loglog(np.unique(size)[::-1], each, ".-", color=_SHADES[0], ms=5, lw=0.8, alpha=0.8)
+        panel.loglog(size, largest[least].mean() * size / size.min(), color="0.3", lw=1.2, ls="--", label="first order")
+        panel.set_xticks(np.unique(size), [f"{value:.3g}" for value in np.unique(size)])
+        panel.xaxis.set_minor_formatter(NullFormatter())
+        panel.set_title(title, loc="left", fontsize=10)
+        panel.set_xlabel(label)
+        panel.grid(alpha=0.25, lw=0.5)
+    for panel in axes.values():
+        panel.legend(fontsize=8, frameon=False)
+    figure.suptitle(f"Continuous dependence: {distances[0].case}", fontsize=12, x=0.01, ha="left")
     return figure
 
 

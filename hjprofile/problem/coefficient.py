@@ -114,16 +114,29 @@ def stored_coefficient(result: str | Path, base: Path = Path()) -> Coefficient:
         raise InputError(f"result = {str(result)!r} holds no positive K at its saved times and nodes")
     if time[0] > 0.0:
         raise InputError(f"result = {str(result)!r} begins at t = {time[0]:g}; K is needed from t = 0 on")
-    ln_K = np.log(K)
-
-    def between(t: Array, x_asked: Array) -> Array:
-        (j, after), (i, right) = _place(time, t), _place(x, x_asked)
-        j_next = np.minimum(j + 1, time.size - 1)
-        before = (1.0 - right) * ln_K[j, i] + right * ln_K[j, i + 1]
-        return np.exp((1.0 - after) * before + after * ((1.0 - right) * ln_K[j_next, i] + right * ln_K[j_next, i + 1]))
-
     table = {"kind": "run", "result": str(result)}
-    return Coefficient(between, table, time.size == 1, float(x[0]), float(time[-1]))
+    return tabulated(time, x, K, table)
+
+
+def tabulated(time: Array, x: Array, k: Array, table: Mapping[str, Any] | None = None) -> Coefficient:
+    """The coefficient of values k, shape (times, places), at increasing times and places, ln k linear between."""
+    ln_k = np.log(k)
+
+    def between(t: Array, at: Array) -> Array:
+        (j, after), (i, right) = _place(time, t), _place(x, at)
+        first = int(np.min(j))
+        rows = ln_k[first : int(np.max(j)) + 2]
+        across = (1.0 - right) * rows[:, i] + right * rows[:, i + 1]  # in x first: times are few, places many
+        j = j - first
+        next_j = np.minimum(j + 1, len(rows) - 1)
+        if at.ndim == 1 and t.shape[-1:] in ((), (1,)):
+            before, behind = (across[k.reshape(t.shape[:-1])] for k in (j, next_j))
+        else:
+            places = np.indices(at.shape, sparse=True)
+            before, behind = across[(j, *places)], across[(next_j, *places)]
+        return np.exp((1.0 - after) * before + after * behind)
+
+    return Coefficient(between, table or {"kind": "run", "result": ""}, time.size == 1, float(x[0]), float(time[-1]))
 
 
 def _place(knots: Array, at: Array) -> tuple[Array, Array]:

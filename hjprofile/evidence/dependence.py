@@ -1,0 +1,226 @@
+"""Continuous dependence: how far solutions come apart that begin close together, or erode by close coefficients.
+
+The paper's proof in numbers. For two solutions with coefficients k and k̃ (theory, §11)
+
+    ‖q - q̃‖₁(t) <= ‖q - q̃‖₁(0) + ∫_0^t E dτ ,      E = ‖k - k̃‖_∞ TV(f(q̃)) + TV(k - k̃) sup|f(q̃)| ,
+
+which is [dep_on_coefficients] with its constants, and with k = K(q), k̃ = K(q̃) the step before the Gronwall lemma that
+gives [continous-dep-on-init-data].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import chain, product
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hjprofile.errors import InputError, RunError
+from hjprofile.evidence.accuracy import observed_order
+from hjprofile.problem import Problem, profiles
+from hjprofile.problem.coefficient import tabulated
+from hjprofile.problem.erosion import ErosionLaw
+from hjprofile.problem.grid import Grid
+from hjprofile.solvers.methods import solve_hj
+from hjprofile.solvers.run import Array, Run
+
+CELLS = 1000
+MOMENTS = 41  # saved times, ends included, over which E is integrated
+SIZES = (0.3, 0.03, 0.003)  # of a disturbance, as a part of ‖q‖₁ (of 1 where that is smaller)
+PAIRS = 8  # of each size
+PARTS = (0.2, 0.05, 0.0125)  # of a coefficient, by which it is off
+WAVES = 4  # disturbances of a coefficient, each a sum of SUMMANDS
+SUMMANDS = 3
+REFRESHES = (64, 32, 16, 8)  # time steps of mean length that make a fractional step
+PIECES = 4  # a disturbance is a step function of so many pieces at most
+ALLOWANCE = 1e-9  # of a bound: rounding, where a slope's norm stays what it was
+SHARE = 0.5  # of 1 + q, which no disturbance exceeds
+
+
+class Distance(NamedTuple):
+    """‖q - q̃‖₁ of one pair at one time.
+
+    Attributes:
+        study: "data" (two slopes), "zero" (a slope and the critical one), "coefficient" (k and a disturbed k),
+            "refresh" (K anew in every step and K in fractional steps).
+        member: number of the pair.
+        size: ‖q - q̃‖₁ at t = 0; of a disturbed k the largest part of k by which it is off; the fractional step.
+        bound: what `distance` cannot exceed: see the module; for "zero" ‖q‖₁ at t = 0; NaN for "refresh".
+    """
+
+    case: str
+    study: str
+    member: int
+    size: float
+    time: float
+    distance: float
+    bound: float
+
+
+def dependence(
+    case: str, problem: Problem, grid: Grid, progress: Callable[[float], None] | None = None, seed: int = 0
+) -> list[Distance]:
+    """Disturbs the problem's profile, then its coefficient, and follows how far the solutions come apart.
+
+    By the method `godunov` on CELLS cells: the contractions of the theory hold for a monotone scheme too. Raises
+    InputError where something flows in or no time passes, RunError where a run stops.
+    """
+    if problem.profile.inflow:
+        raise InputError(f"{case}: something flows in at the left end; dependence needs a profile with q = 0 there")
+    if not problem.end > 0.0:
+        raise InputError(f"{case}: no time passes; dependence needs an end above 0")
+    study = _Study(case, replace(problem, snapshots=MOMENTS), Grid(grid.left, CELLS), np.random.default_rng(seed))
+    found: list[Distance] = []
+    total = len(SIZES) * PAIRS + len(PARTS) * WAVES + len(REFRESHES)
+    for i, rows in enumerate(chain(study.pairs(), study.coefficients(), study.refreshes())):
+        found += rows
+        if progress:
+            progress((i + 1) / total)
+    return found
+
+
+class _Study:
+    """A problem on a grid, its solution, and a source of random numbers."""
+
+    def __init__(self, case: str, problem: Problem, grid: Grid, rng: np.random.Generator):
+        self.case, self.problem, self.grid, self.rng = case, problem, grid, rng
+        self.q = problem.profile.q_means(grid, problem.law)
+        self.base = self.solve(self.problem)
+        self.scale = max(1.0, float(np.abs(self.q).sum()) * grid.dx)
+
+    def solve(self, problem: Problem, refresh: float | None = None) -> Run:
+        """Its solution; raises RunError if there is none."""
+        run = solve_hj(problem, self.grid, "godunov", refresh=refresh)
+        if not run.done:
+            raise RunError(f"{self.case}: {run.status}")
+        return run
+
+    def from_means(self, q: Array) -> Run:
+        """The solution from the cell means q."""
+        nodes, W = self.grid.nodes, np.append(0.0, np.cumsum(q) * self.grid.dx)
+        return self.solve(replace(self.problem, profile=profiles.profile(lambda x: x + np.interp(x, nodes, W))))
+
+    def disturbance(self, size: float) -> Array:
+        """A random step function with the L1 norm `size`, where it leaves 1 + q positive; 0 in the first cells."""
+        n = self.grid.cells
+        edges = np.sort(self.rng.integers(n // 20, n + 1, self.rng.integers(2, PIECES + 2)))
+        d = np.zeros(n)
+        for a, b, value in zip(edges[:-1], edges[1:], self.rng.normal(size=edges.size - 1), strict=True):
+            d[a:b] = value
+        norm = float(np.abs(d).sum()) * self.grid.dx
+        return np.maximum(d * (size / norm), -SHARE * (1.0 + self.q)) if norm > 0.0 else self.disturbance(size)
+
+    def pairs(self) -> Iterator[list[Distance]]:
+        """The problem's slope and a disturbed one; the disturbed one and the critical slope."""
+        member = 0
+        for size in SIZES:
+            for _ in range(PAIRS):
+                member += 1
+                other = self.from_means(self.q + self.disturbance(size * self.scale))
+                yield self.rows("data", member, self.base, other) + self.to_zero(member, other)
+
+    def coefficients(self) -> Iterator[list[Distance]]:
+        """The problem's own coefficient, or its K as a prescribed one, and that with waves on it."""
+        given = self.problem.coefficient or tabulated(self.base.time, self.base.x, self.base.K)
+        first = self.solve(replace(self.problem, coefficient=given))
+        waves = [self.waves() for _ in range(WAVES)]
+        for member, (part, wave) in enumerate(product(PARTS, waves), start=1):
+            disturbed = replace(given, function=_times(given.function, part, wave), steady=False)
+            other = self.solve(replace(self.problem, coefficient=disturbed))
+            yield self.rows("coefficient", member, first, other, part)
+
+    def waves(self) -> Callable[[Any, Any], Any]:
+        """A random smooth function of t and x, no larger than 1."""
+        heights = self.rng.dirichlet(np.ones(SUMMANDS))
+        turns = self.rng.normal(scale=3.0, size=(SUMMANDS, 2)) / (self.problem.end, -self.grid.left)
+        phases = self.rng.uniform(0.0, 2.0 * np.pi, SUMMANDS)
+        return lambda t, x: sum(
+            h * np.sin(2.0 * np.pi * (a * t + b * x) + p) for h, (a, b), p in zip(heights, turns, phases, strict=True)
+        )
+
+    def refreshes(self) -> Iterator[list[Distance]]:
+        """K anew in every step, and K frozen over fractional steps."""
+        for member, steps in enumerate(REFRESHES, start=1):
+            size = self.problem.end * min(steps / max(self.base.steps, 1), 1.0)
+            yield self.rows("refresh", member, self.base, self.solve(self.problem, refresh=size), size)
+
+    def rows(self, study: str, member: int, first: Run, second: Run, size: float | None = None) -> list[Distance]:
+        """The distance between two solutions; its size is that at the start if no other is given."""
+        apart = self.grid.dx * np.abs(first.q - second.q).sum(axis=1)
+        bound = distance_bound(self.problem.law, first, second)
+        if study == "refresh":  # the coefficients differ most between the saved times
+            bound = np.full(apart.size, np.nan)
+        return [
+            Distance(self.case, study, member, float(apart[0]) if size is None else size, float(t), float(d), float(b))
+            for t, d, b in zip(first.time, apart, bound, strict=True)
+        ]
+
+    def to_zero(self, member: int, run: Run) -> list[Distance]:
+        """The distance from the critical slope, to which the flow is a contraction."""
+        norm = self.grid.dx * np.abs(run.q).sum(axis=1)
+        return [
+            Distance(self.case, "zero", member, float(norm[0]), float(t), float(d), float(norm[0]))
+            for t, d in zip(run.time, norm, strict=True)
+        ]
+
+
+def _times(k: Callable[[Any, Any], Any], part: float, wave: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    return lambda t, x: k(t, x) * (1.0 + part * wave(t, x))
+
+
+def distance_bound(law: ErosionLaw, first: Run, second: Run) -> Array:
+    """‖q - q̃‖₁(0) + ∫E dτ at the saved times of two runs on one grid (see the module); of the two E the smaller."""
+    dx = float(first.x[1] - first.x[0])
+    apart = first.K - second.K
+    variation = np.abs(np.diff(apart, axis=1)).sum(axis=1)
+    rate = np.full(first.time.size, np.inf)
+    for run in (first, second):
+        f = law.f(run.q)
+        E = np.abs(apart).max(axis=1) * np.abs(np.diff(f, axis=1)).sum(axis=1) + variation * np.abs(f).max(axis=1)
+        rate = np.minimum(rate, E)
+    start = dx * float(np.abs(first.q[0] - second.q[0]).sum())
+    return start + np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(first.time)))
+
+
+def largest_distances(distances: Sequence[Distance], study: str) -> dict[int, tuple[float, float]]:
+    """Number of a pair -> its size, and its largest distance over the saved times."""
+    largest: dict[int, tuple[float, float]] = {}
+    for d in distances:
+        if d.study == study:
+            largest[d.member] = d.size, max(d.distance, largest.get(d.member, (d.size, 0.0))[1])
+    return largest
+
+
+def observed_constant(distances: Sequence[Distance]) -> float:
+    """The least L with ‖q - q̃‖₁(t) <= e^{Lt} ‖q - q̃‖₁(0) for all of them [continous-dep-on-init-data]."""
+    return max(float(np.log(d.distance / d.size)) / d.time for d in distances if d.time > 0.0 and d.distance > 0.0)
+
+
+def summary(distances: Sequence[Distance]) -> tuple[list[str], str]:
+    """What was found, a sentence for each study; and what exceeds its bound, or ""."""
+    studies = {
+        study: [d for d in distances if d.study == study] for study in ("data", "zero", "coefficient", "refresh")
+    }
+    pairs = {study: len({d.member for d in mine}) for study, mine in studies.items()}
+    share = {
+        study: max((d.distance / d.bound for d in mine if d.time > 0.0 and d.bound > 0.0), default=0.0)
+        for study, mine in studies.items()
+    }
+    L = [observed_constant([d for d in studies["data"] if (d.member - 1) // PAIRS == i]) for i in range(len(SIZES))]
+    order = {
+        study: -observed_order(*zip(*largest_distances(distances, study).values(), strict=True))
+        for study in ("coefficient", "refresh")
+    }
+    sentences = [
+        f"data         ‖q - q̃‖₁ <= e^(Lt) ‖q - q̃‖₁(0) with L = {max(L):.3g} for {pairs['data']} pairs "
+        f"({', '.join(f'{value:.3g}' for value in L)} from far to near); at most {share['data']:.2g} of the bound",
+        f"zero         ‖q‖₁ {'never grows' if share['zero'] <= 1.0 + ALLOWANCE else 'GROWS'}, {pairs['zero']} slopes",
+        f"coefficient  ‖q - q̃‖₁ is of order {order['coefficient']:.2f} in k - k̃, {pairs['coefficient']} pairs; at most "
+        f"{share['coefficient']:.2g} of the bound",
+        f"refresh      ‖q - q̃‖₁ is of order {order['refresh']:.2f} in the fractional step",
+    ]
+    worst = max(share, key=lambda study: share[study])
+    failed = f"a distance of the study {worst!r} is {share[worst]:.4g} times its bound"
+    return sentences, failed if share[worst] > 1.0 + ALLOWANCE else ""

@@ -1,0 +1,106 @@
+"""Continuous dependence on data and coefficient, against the bound that the proof gives with its constants."""
+
+import numpy as np
+import pytest
+
+import hjprofile as hj
+from hjprofile.errors import InputError
+from hjprofile.evidence import dependence as study
+from hjprofile.evidence.dependence import distance_bound, largest_distances, observed_constant
+from hjprofile.output.plots import draw_dependence
+from hjprofile.problem.coefficient import coefficient
+
+T2 = hj.Problem(hj.rational(), hj.bumps([0.8, -0.3], [-5.0, -3.0], [1.0, 0.5]), end=2.0)
+
+
+@pytest.fixture(scope="module")
+def distances():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "CELLS", 400)
+        patch.setattr(study, "PAIRS", 5)
+        patch.setattr(study, "WAVES", 2)
+        return study.dependence("T2", T2, hj.Grid(-10.0, 2000))
+
+
+def of(distances, name):
+    return [d for d in distances if d.study == name]
+
+
+def test_no_pair_comes_further_apart_than_the_proof_allows(distances):
+    """Measured 0.96 of the bound at most for data, 0.27 for coefficients: neither is far off."""
+    for name, least in (("data", 0.5), ("coefficient", 0.1)):
+        shares = [d.distance / d.bound for d in of(distances, name) if d.time > 0.0]
+        assert least < max(shares) <= 1.0
+
+
+def test_the_flow_expands_some_distances_but_by_no_more_the_closer_they_are(distances):
+    """One cannot expect L = 0 in general; but L must not grow as the pairs get closer (here a hundredfold)."""
+    data = of(distances, "data")
+    far, near = (observed_constant([d for d in data if (d.member - 1) // 5 == i]) for i in (0, len(study.SIZES) - 1))
+    assert far > 0.5 and near > 0.5
+    assert near < 3.0 * far
+
+
+def test_the_flow_is_a_contraction_towards_the_critical_slope(distances):
+    zero = of(distances, "zero")
+    for member in {d.member for d in zero}:
+        norms = [d.distance for d in zero if d.member == member]
+        assert np.all(np.diff(norms) <= 1e-12)  # rounding
+        assert norms[-1] < norms[0]
+
+
+@pytest.mark.parametrize("name, low, high", [("coefficient", 0.93, 1.07), ("refresh", 0.85, 1.25)])
+def test_distances_are_of_first_order(distances, name, low, high):
+    """In the coefficient's error, and in the fractional step; 1.00 and 1.02 on 1000 cells."""
+    size, largest = zip(*largest_distances(distances, name).values(), strict=True)
+    assert low < -hj.observed_order(size, largest) < high
+    assert min(largest) < max(largest) / 5.0
+
+
+def test_the_bound_is_sharp():
+    """k = 1 and 1 + δ move an upward jump apart at the speed δ f(a)/a: the distance is δ f(a) t, as is the bound."""
+    a, delta = 1.5, 0.2
+    runs = [
+        hj.solve_hj(
+            hj.Problem(hj.rational(), hj.steps([-5.0, 0.0], [a]), 2.0, 9, coefficient=coefficient(k)),
+            hj.Grid(-6.0, 3000), "godunov",
+        )
+        for k in ("1", f"1 + {delta}")
+    ]  # fmt: skip
+    dx = 6.0 / 3000
+    apart = dx * np.abs(runs[0].q - runs[1].q).sum(axis=1)
+    exact = delta * a / (1 + a) * runs[0].time
+    assert np.allclose(distance_bound(hj.rational(), *runs), exact, rtol=1e-9)
+    assert np.allclose(apart[1:], exact[1:], rtol=0.02)  # shocks spread over some cells, 0.24 apart at the end
+    assert np.all(apart <= exact + 1e-12)
+
+
+def test_the_bound_counts_what_a_coefficient_varies_by():
+    """q constant: (k f)_x makes q grow where k falls; at once the distance grows by f TV(k - k̃), which is the bound."""
+    problem = [
+        hj.Problem(hj.rational(), hj.steps([-8.0, 0.0], [0.5]), 0.01, 2, coefficient=coefficient(k))
+        for k in ("1", "1 + 0.1*exp(-(x + 3)**2)")
+    ]
+    runs = [hj.solve_hj(p, hj.Grid(-10.0, 4000), "godunov") for p in problem]
+    apart = 10.0 / 4000 * np.abs(runs[0].q[-1] - runs[1].q[-1]).sum()
+    bound = distance_bound(hj.rational(), *runs)[-1]
+    assert 0.99 * 0.2 / 3.0 * 0.01 < apart <= bound  # f(0.5) = 1/3, TV = 0.2; and ‖k - k̃‖_∞ TV(f) adds half as much
+    assert bound == pytest.approx(0.01 * (0.2 + 0.1) / 3.0, rel=0.01)
+
+
+def test_what_cannot_be_studied_is_refused():
+    steady = hj.Problem(hj.rational(), hj.steady(0.5), end=1.0)
+    with pytest.raises(InputError, match="flows in"):
+        study.dependence("steady", steady, hj.Grid(-2.0, 100))
+    still = hj.Problem(hj.rational(), hj.bumps([0.5], [-3.0], [0.5]), end=0.0)
+    with pytest.raises(InputError, match="no time passes"):
+        study.dependence("still", still, hj.Grid(-6.0, 100))
+
+
+def test_the_picture_shows_every_pair(distances):
+    panels = draw_dependence(distances).axes
+    assert len(panels) == 4
+    pairs = len({d.member for d in of(distances, "data")})
+    assert len([line for line in panels[0].lines if len(line.get_xdata()) == study.MOMENTS]) == pairs
+    shown = sum(len(line.get_xdata()) for line in panels[2].lines[:-1])
+    assert shown == len(largest_distances(distances, "coefficient"))
