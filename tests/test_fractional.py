@@ -23,7 +23,7 @@ def test_first_order_in_the_time_that_the_factor_is_kept(method, profile):
     problem = TWO_KINKS if profile == "kinks" else hj.Problem(hj.log(), hj.bumps([0.5], [-3.0], [1.0]), end=1.5)
     study = fractional_steps(problem, GRID, method, [0.2, 0.1, 0.05])
     for order in (study.order_q_l1, study.order_u_sup, study.order_kink)[: 3 if profile == "kinks" else 2]:
-        # measured 0.93 to 1.02; with forward Euler steps K is half a step old anyway, and the order seems a little larger
+        # measured 0.93 to 1.02; with forward Euler steps K is half a step old anyway, and the order seems larger
         assert 0.85 <= order <= 1.15, study
     finest = study.steps[-1]
     assert finest.refresh == 0.05
