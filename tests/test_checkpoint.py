@@ -54,9 +54,17 @@ def fingerprint(run):
     return [*arrays, str(run.kinks), str(run.events), str(run.bounds), run.steps, run.step_range, run.status]
 
 
-@pytest.mark.parametrize("method", [*HJ_METHODS, *CONSERVATIVE_METHODS])
-def test_every_method_goes_on_bit_for_bit(method, tmp_path):
-    case = case_of(method)
+KEPT = {"solver__refresh": 0.9}  # a factor that is kept across saved times and checkpoints
+PRESCRIBED = {"coefficient__kind": "expression", "coefficient__expression": "exp(-0.2*x)*(1 + 0.1*t)"}
+
+
+@pytest.mark.parametrize(
+    ("method", "changes"),
+    [(m, {}) for m in (*HJ_METHODS, *CONSERVATIVE_METHODS)]
+    + [("godunov", KEPT), ("eno2", KEPT), ("conservative", PRESCRIBED)],
+)
+def test_every_method_goes_on_bit_for_bit(method, changes, tmp_path):
+    case = case_of(method, **changes)
     whole = fingerprint(solve_case(case))
     for lots in (1, 5, 12):
         keeper = Checkpoint(tmp_path, 1e9, resume=False)

@@ -60,7 +60,7 @@ def _kink_distances(first: Run, second: Run, time: float) -> Array:
     return np.abs(places[0] - places[1]) if places[0].size == places[1].size else np.empty(0)
 
 
-def observed_order(cells: Sequence[int], errors: Sequence[float]) -> float:
+def observed_order(cells: Sequence[float], errors: Sequence[float]) -> float:
     """Slope of -ln(error) over ln(cells) by least squares; NaN if an error is zero or not finite."""
     e = np.asarray(errors, dtype=float)
     if not np.all(np.isfinite(e) & (e > 0)):

@@ -1,0 +1,73 @@
+"""Fractional steps: what it costs to keep the factor for a while (theory, §10)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from hjprofile.errors import InputError, RunError
+from hjprofile.evidence.accuracy import compare, observed_order
+from hjprofile.problem import Problem
+from hjprofile.problem.grid import Grid
+from hjprofile.solvers.methods import HJ_METHODS, solve_conservative, solve_hj
+from hjprofile.solvers.run import Run
+
+TIMES = 6  # over which errors are taken, with both ends
+
+
+class Step(NamedTuple):
+    """What comes of one `refresh` Δt: means over the saved times of ∫|Δq| dx, sup|Δu| and the distance of kinks.
+
+    The last is NaN where there are no kinks that both runs see.
+    """
+
+    refresh: float
+    error_q_l1: float
+    error_u_sup: float
+    error_kink: float
+
+
+class Fractional(NamedTuple):
+    """A study: the steps from the longest to the shortest, and the observed orders of the three errors in Δt."""
+
+    steps: list[Step]
+    order_q_l1: float
+    order_u_sup: float
+    order_kink: float
+
+
+def fractional_steps(
+    problem: Problem, grid: Grid, method: str = "conservative", refresh: Sequence[float] = (), cfl: float = 0.9,
+    progress: Callable[[float], None] | None = None,
+) -> Fractional:  # fmt: skip
+    """S^Δt [eq1-Deltat] for several Δt against the same method on the same grid with its factor anew in every step.
+
+    What is compared differs in the age of the factor alone, so that the errors are those of the fractional step. By
+    default Δt is a fifth of the problem's end, and a half, a quarter and an eighth of that. The times compared at are
+    TIMES even ones. Raises InputError where no time passes, and RunError if a run does not reach the end.
+    """
+    if not problem.end > 0.0:
+        raise InputError(f"end = {problem.end:g}; a study of fractional steps needs an end above 0")
+    problem = replace(problem, snapshots=np.linspace(0.0, problem.end, TIMES).tolist())
+    lengths = sorted(refresh or [problem.end / n for n in (5, 10, 20, 40)], reverse=True)
+
+    def solved(length: float | None) -> Run:
+        solver = solve_hj if method in HJ_METHODS else solve_conservative
+        run = solver(problem, grid, method, cfl, refresh=length)
+        if not run.done:
+            raise RunError(f"{method} with refresh = {length}: {run.status}")
+        return run
+
+    reference, steps = solved(None), []
+    for i, length in enumerate(lengths):
+        apart = compare(solved(length), reference)
+        steps.append(Step(length, apart.slope_l1, apart.height_sup, apart.kinks))
+        if progress:
+            progress((i + 1) / len(lengths))
+    orders = [
+        observed_order([1.0 / length for length in lengths], errors) for errors in list(zip(*steps, strict=True))[1:]
+    ]
+    return Fractional(steps, *orders)
