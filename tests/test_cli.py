@@ -187,7 +187,7 @@ def test_dependence_writes_its_table_and_picture(folder, call, monkeypatch):
     ]  # fmt: skip
     rows = list(csv.DictReader(Path("results/bare/dependence.csv").read_text().splitlines()))
     assert list(rows[0]) == ["case", "study", "member", "size", "time", "distance", "bound"]
-    assert {row["study"] for row in rows} == {"data", "zero", "coefficient", "refresh"}
+    assert {row["study"] for row in rows} == {"data", "zero", "coefficient", "refresh", "refresh kinks"}
     assert Path("results/bare/dependence.png").read_bytes().startswith(b"\x89PNG")
     monkeypatch.setattr(dependence, "ALLOWANCE", -1.0)
     code, _, err = call("dependence", "bare.toml")

@@ -19,6 +19,7 @@ import numpy as np
 
 from hjprofile.errors import InputError, RunError
 from hjprofile.evidence.accuracy import observed_order
+from hjprofile.evidence.fractional import fractional_steps
 from hjprofile.problem import Problem, profiles
 from hjprofile.problem.coefficient import tabulated
 from hjprofile.problem.erosion import ErosionLaw
@@ -44,10 +45,11 @@ class Distance(NamedTuple):
 
     Attributes:
         study: "data" (two slopes), "zero" (a slope and the critical one), "coefficient" (k and a disturbed k),
-            "refresh" (K anew in every step and K in fractional steps).
+            "refresh" (K anew in every step and K in fractional steps; a mean over time), "refresh kinks" (the same,
+            the distance of kinks; NaN where there are none).
         member: number of the pair.
         size: ‖q - q̃‖₁ at t = 0; of a disturbed k the largest part of k by which it is off; the fractional step.
-        bound: what `distance` cannot exceed: see the module; for "zero" ‖q‖₁ at t = 0; NaN for "refresh".
+        bound: what `distance` cannot exceed: see the module; for "zero" ‖q‖₁ at t = 0; NaN for fractional steps.
     """
 
     case: str
@@ -90,9 +92,9 @@ class _Study:
         self.base = self.solve(self.problem)
         self.scale = max(1.0, float(np.abs(self.q).sum()) * grid.dx)
 
-    def solve(self, problem: Problem, refresh: float | None = None) -> Run:
+    def solve(self, problem: Problem) -> Run:
         """Its solution; raises RunError if there is none."""
-        run = solve_hj(problem, self.grid, "godunov", refresh=refresh)
+        run = solve_hj(problem, self.grid, "godunov")
         if not run.done:
             raise RunError(f"{self.case}: {run.status}")
         return run
@@ -141,17 +143,19 @@ class _Study:
         )
 
     def refreshes(self) -> Iterator[list[Distance]]:
-        """K anew in every step, and K frozen over fractional steps."""
-        for member, steps in enumerate(REFRESHES, start=1):
-            size = self.problem.end * min(steps / max(self.base.steps, 1), 1.0)
-            yield self.rows("refresh", member, self.base, self.solve(self.problem, refresh=size), size)
+        """K anew in every step, and K frozen over fractional steps: means over time (see `fractional`)."""
+        lengths = [self.problem.end * min(steps / max(self.base.steps, 1), 1.0) for steps in REFRESHES]
+        found = fractional_steps(self.problem, self.grid, "godunov", lengths)
+        for member, step in enumerate(found.steps, start=1):
+            yield [
+                Distance(self.case, study, member, step.refresh, self.problem.end, distance, np.nan)
+                for study, distance in (("refresh", step.error_q_l1), ("refresh kinks", step.error_kink))
+            ]
 
     def rows(self, study: str, member: int, first: Run, second: Run, size: float | None = None) -> list[Distance]:
         """The distance between two solutions; its size is that at the start if no other is given."""
         apart = self.grid.dx * np.abs(first.q - second.q).sum(axis=1)
         bound = distance_bound(self.problem.law, first, second)
-        if study == "refresh":  # the coefficients differ most between the saved times
-            bound = np.full(apart.size, np.nan)
         return [
             Distance(self.case, study, member, float(apart[0]) if size is None else size, float(t), float(d), float(b))
             for t, d, b in zip(first.time, apart, bound, strict=True)
@@ -189,7 +193,7 @@ def largest_distances(distances: Sequence[Distance], study: str) -> dict[int, tu
     largest: dict[int, tuple[float, float]] = {}
     for d in distances:
         if d.study == study:
-            largest[d.member] = d.size, max(d.distance, largest.get(d.member, (d.size, 0.0))[1])
+            largest[d.member] = d.size, max(largest.get(d.member, (d.size, -np.inf))[1], d.distance)
     return largest
 
 
@@ -211,15 +215,17 @@ def summary(distances: Sequence[Distance]) -> tuple[list[str], str]:
     L = [observed_constant([d for d in studies["data"] if (d.member - 1) // PAIRS == i]) for i in range(len(SIZES))]
     order = {
         study: -observed_order(*zip(*largest_distances(distances, study).values(), strict=True))
-        for study in ("coefficient", "refresh")
+        for study in ("coefficient", "refresh", "refresh kinks")
     }
+    kinks = order["refresh kinks"]
     sentences = [
         f"data         ‖q - q̃‖₁ <= e^(Lt) ‖q - q̃‖₁(0) with L = {max(L):.3g} for {pairs['data']} pairs "
         f"({', '.join(f'{value:.3g}' for value in L)} from far to near); at most {share['data']:.2g} of the bound",
         f"zero         ‖q‖₁ {'never grows' if share['zero'] <= 1.0 + ALLOWANCE else 'GROWS'}, {pairs['zero']} slopes",
         f"coefficient  ‖q - q̃‖₁ is of order {order['coefficient']:.2f} in k - k̃, {pairs['coefficient']} pairs; at most "
         f"{share['coefficient']:.2g} of the bound",
-        f"refresh      ‖q - q̃‖₁ is of order {order['refresh']:.2f} in the fractional step",
+        f"refresh      ‖q - q̃‖₁ is of order {order['refresh']:.2f} in the fractional step"
+        + (f", the distance of kinks of order {kinks:.2f}" if np.isfinite(kinks) else ""),
     ]
     worst = max(share, key=lambda study: share[study])
     failed = f"a distance of the study {worst!r} is {share[worst]:.4g} times its bound"

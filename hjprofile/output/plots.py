@@ -197,7 +197,7 @@ def draw_dependence(distances: Sequence[Distance]) -> Figure:
     axes["zero"].set_title("a slope and the critical one: ‖q‖₁ / ‖q‖₁(0)", loc="left", fontsize=10)
     names = {
         "coefficient": ("coefficients k and k(1 + δ ...): largest ‖q - q̃‖₁", "δ"),
-        "refresh": ("K frozen over fractional steps: largest ‖q - q̃‖₁", "fractional step Δt"),
+        "refresh": ("K frozen over fractional steps: mean ‖q - q̃‖₁, kinks", "fractional step Δt"),
     }
     for study, (title, label) in names.items():
         panel = axes[study]
@@ -205,6 +205,9 @@ def draw_dependence(distances: Sequence[Distance]) -> Figure:
         least = size == size.min()
         for each in largest.reshape(-1, least.sum()).T:
             panel.loglog(np.unique(size)[::-1], each, ".-", color=_SHADES[0], ms=5, lw=0.8, alpha=0.8)
+        if study == "refresh":
+            kinks = np.array(list(largest_distances(distances, "refresh kinks").values()))
+            panel.loglog(*kinks.T, ".-", color=_SHADES[1], ms=5, lw=0.8, label="distance of kinks")
         panel.loglog(size, largest[least].mean() * size / size.min(), color="0.3", lw=1.2, ls="--", label="first order")
         panel.set_xticks(np.unique(size), [f"{value:.3g}" for value in np.unique(size)])
         panel.xaxis.set_minor_formatter(NullFormatter())
