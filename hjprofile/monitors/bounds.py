@@ -41,6 +41,8 @@ LOCAL: Promises = MappingProxyType(
 HIGHER_ORDER: Promises = MappingProxyType(
     {name: kept and FIRST_ORDER for name, kept in LOCAL.items()} | {"mass_budget": EXACT}
 )
+# K of the 2x2 model is not that of q, and q < 0 may fall: what is left is that a slope is carried along, by H > 0
+WITH_LAYER: Promises = MappingProxyType(dict.fromkeys(("mass_budget", "volume_budget", "signs", "l1_decay"), EXACT))
 STOPPING = ("mass_budget", "volume_budget")  # where they are kept to rounding, nothing is right that breaks them
 
 

@@ -12,6 +12,8 @@ from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Profile
 
+LAYER_METHOD = "conservative-telescoping"  # for its flux the bed loses exactly what the layer gains
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -22,6 +24,8 @@ class Problem:
         profile: the profile at t = 0.
         end: mass of grains poured in all; it serves as time.
         snapshots: a count (evenly spaced, both ends) or the times that are kept.
+        thickness: of the rolling layer at the top where the slope is critical, which is the flux ε that is poured in
+            (theory, §8); 0 is the limit of slow erosion.
     """
 
     law: ErosionLaw
@@ -29,10 +33,18 @@ class Problem:
     end: float
     snapshots: int | Sequence[float] = 31
     title: str = ""
+    thickness: float = 0.0
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.end) and self.end >= 0):
             raise InputError(f"end = {self.end} must be a number, 0 or more")
+        if not (np.isfinite(self.thickness) and self.thickness >= 0):
+            raise InputError(f"thickness = {self.thickness} must be a number, 0 or more")
+        if self.thickness and self.law.name != "rational":
+            raise InputError(
+                f"thickness = {self.thickness:g} needs the law 'rational', not {self.law.name!r}: the model with a "
+                "rolling layer has no other"
+            )
         if isinstance(self.snapshots, (int, np.integer)):
             if self.snapshots < 1 or isinstance(self.snapshots, bool):
                 raise InputError(f"snapshots = {self.snapshots} must be 1 or more, or a list of times")
@@ -64,8 +76,17 @@ class Problem:
             return np.zeros(1)
         return np.linspace(0.0, self.end, self.snapshots) if self.snapshots > 1 else np.array([float(self.end)])
 
+    def check_method(self, method: str) -> None:
+        """Raises InputError if the method cannot solve this problem on any grid."""
+        if self.thickness and method != LAYER_METHOD:
+            raise InputError(
+                f"thickness = {self.thickness:g}: a slope with a rolling layer is solved by the method "
+                f"{LAYER_METHOD} only"
+            )
+
     @np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks refuse
-    def check(self, grid: Grid) -> None:
-        """Raises InputError if the problem cannot be solved on this grid."""
+    def check(self, grid: Grid, method: str) -> None:
+        """Raises InputError if the problem cannot be solved on this grid by this method."""
+        self.check_method(method)
         grid.check_memory(self.kept)
         self.profile.check(grid, self.law)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -216,27 +216,30 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
     title = top.take("title", _text, name)
     sections = {
         key: _Section(source, key, top.take(key, _table, {}))
-        for key in ("erosion", "profile", "domain", "time", "solver", "output")
+        for key in ("erosion", "layer", "profile", "domain", "time", "solver", "output")
     }
     expect = top.take("expect", _table, {})
     top.finish()
 
     law = _build(sections["erosion"], "law", _LAWS, base)
     profile = _build(sections["profile"], "kind", _PROFILES, base)
-    domain, time, solver, output = (sections[k] for k in ("domain", "time", "solver", "output"))
+    layer, domain, time, solver, output = (sections[k] for k in ("layer", "domain", "time", "solver", "output"))
+    thickness = layer.take("thickness", _number, 0.0)
     grid_values = {"left": domain.take("left", _number), "cells": domain.take("cells", _whole)}
     time_values = {"end": time.take("end", _number), "snapshots": time.take("snapshots", _count_or_times, 31)}
     method, cfl = solver.take("method", _text, DEFAULT_METHOD), solver.take("cfl", _positive, DEFAULT_CFL)
     tolerance = solver.take("tolerance", _positive, None)
     vtk, plots = output.take("vtk", _switch, True), output.take("plots", _switch, True)
     checkpoint = output.take("checkpoint", _positive, DEFAULT_CHECKPOINT)
-    for section in (domain, time, solver, output):
+    for section in (layer, domain, time, solver, output):
         section.finish()
     section = domain
     try:
         grid = Grid(**grid_values)
         section = time
         problem = Problem(law, profile, title=title, **time_values)
+        section = layer
+        problem = replace(problem, thickness=thickness)
         section = domain
         grid.check_memory(problem.kept)
         section = sections["profile"]
@@ -254,6 +257,7 @@ def resolved_case(
     return {
         "title": problem.title,
         "erosion": dict(problem.law.table),
+        **({"layer": {"thickness": float(problem.thickness)}} if problem.thickness else {}),
         "profile": dict(problem.profile.table),
         "domain": {"left": float(grid.left), "cells": int(grid.cells)},
         "time": {

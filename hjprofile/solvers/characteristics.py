@@ -339,7 +339,7 @@ def solve_characteristics(
     if profile.inflow:
         raise InputError("characteristics need q = 0 at the left end; this profile has a flux that enters there")
     grid = grid or profile.grid()
-    problem.check(grid)
+    problem.check(grid, "characteristics")
     height = float(profile.W(grid.nodes[:1], problem.law)[0])
     try:
         panels = cut_into_panels(problem, grid.left)

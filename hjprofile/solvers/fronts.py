@@ -252,7 +252,7 @@ def track_fronts(
     if profile.inflow:
         raise InputError("front tracking needs q = 0 at the left end; this profile has a flux that enters there")
     grid = grid or profile.grid()
-    problem.check(grid)
+    problem.check(grid, "fronts")
     data, table = cut_into_fronts(problem, grid.left, fronts)
     tracker = _Tracker(data, table, exact=data.kinks_only if exact is None else exact)
     height = float(profile.W(grid.nodes[:1], problem.law)[0])

@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from hjprofile.errors import InputError, RunError
-from hjprofile.monitors.bounds import HIGHER_ORDER, LOCAL, MONOTONE, TELESCOPING, BoundsMonitor, Promises
+from hjprofile.monitors.bounds import HIGHER_ORDER, LOCAL, MONOTONE, TELESCOPING, WITH_LAYER, BoundsMonitor, Promises
 from hjprofile.monitors.kinks import KinkTracker
 from hjprofile.problem import Problem
 from hjprofile.problem.case import DEFAULT_CFL, DEFAULT_METHOD, Case, resolved_case
@@ -54,7 +54,7 @@ def solve_hj(
     input; a run that breaks down returns what was good, with the reason in `status`.
     """
     _known(method, HJ_METHODS)
-    problem.check(grid)
+    problem.check(grid, method)
     return _solve(hj.scheme(problem, grid, method), problem, grid, method, cfl, progress)
 
 
@@ -71,7 +71,7 @@ def solve_conservative(
     the two forms agree to rounding. Otherwise as `solve_hj`.
     """
     _known(method, CONSERVATIVE_METHODS)
-    problem.check(grid)
+    problem.check(grid, method)
     return _solve(conservation.scheme(problem, grid, method), problem, grid, method, cfl, progress)
 
 
@@ -82,7 +82,7 @@ def solve(problem: Problem, tolerance: float, grid: Grid | None = None, progress
     """
     if not FINEST <= tolerance <= 1.0:
         raise InputError(f"tolerance = {tolerance:g} must lie between {FINEST:g} and 1")
-    problem.check(grid := grid or problem.profile.grid())
+    problem.check(grid := grid or problem.profile.grid(), "auto")
     try:
         run = solve_characteristics(problem, grid, min(max(0.1 * tolerance, FINEST), COARSEST), progress)
         if run.done and run.error_estimate is not None and run.error_estimate <= tolerance:
@@ -116,6 +116,7 @@ def check_method(case: Case) -> None:
             raise InputError(f"tolerance = {case.tolerance:g} must lie between {FINEST:g} and {most:g}")
         if case.tolerance is None and case.method == "auto":
             raise InputError("method = 'auto' needs a tolerance")
+        case.problem.check_method(case.method)
     except InputError as error:
         raise InputError(f"{case.source}: [solver] {error}") from None
 
@@ -129,7 +130,7 @@ def solve_case(case: Case, progress: Progress | None = None, strict: bool = Fals
     check_method(case)
     problem, grid, method = case.problem, case.grid, case.method
     if method in HJ_METHODS or method in CONSERVATIVE_METHODS:
-        problem.check(grid)
+        problem.check(grid, method)
         form = hj if method in HJ_METHODS else conservation
         return _solve(form.scheme(problem, grid, method), problem, grid, method, case.cfl, progress, strict, keeper)
     if method == "auto":
@@ -157,8 +158,9 @@ def _solve(
 ) -> Run:  # fmt: skip
     if not cfl > 0:
         raise InputError(f"cfl = {cfl} must be a positive number")
+    promises = WITH_LAYER if problem.thickness else PROMISES[method]
     bounds = BoundsMonitor(
-        problem.law, grid, scheme.W, problem.profile.inflow, problem.end, PROMISES[method],
+        problem.law, grid, scheme.W, problem.profile.inflow, problem.end, promises,
         hj.FLUXES.get(method.removeprefix("conservative-")), strict,
     )  # fmt: skip
     tracker = KinkTracker(problem.law, grid)
