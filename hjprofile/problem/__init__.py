@@ -10,9 +10,11 @@ import numpy as np
 from hjprofile.errors import InputError
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
+from hjprofile.problem.line import tail
 from hjprofile.problem.profiles import Profile
 
 LAYER_METHOD = "conservative-telescoping"  # for its flux the bed loses exactly what the layer gains
+LINES = "half", "whole"
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,7 @@ class Problem:
         snapshots: a count (evenly spaced, both ends) or the times that are kept.
         thickness: of the rolling layer at the top where the slope is critical, which is the flux ε that is poured in
             (theory, §8); 0 is the limit of slow erosion.
+        line: "half", the slope x <= 0 below its top, or "whole", of which the grid is a window (theory, §13).
     """
 
     law: ErosionLaw
@@ -34,6 +37,7 @@ class Problem:
     snapshots: int | Sequence[float] = 31
     title: str = ""
     thickness: float = 0.0
+    line: str = "half"
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.end) and self.end >= 0):
@@ -45,6 +49,10 @@ class Problem:
                 f"thickness = {self.thickness:g} needs the law 'rational', not {self.law.name!r}: the model with a "
                 "rolling layer has no other"
             )
+        if self.line not in LINES:
+            raise InputError(f"line = {self.line!r} is not known; allowed are {', '.join(map(repr, LINES))}")
+        if self.thickness and self.line == "whole":
+            raise InputError(f"thickness = {self.thickness:g} needs line = 'half': grains that start at the top")
         if isinstance(self.snapshots, (int, np.integer)):
             if self.snapshots < 1 or isinstance(self.snapshots, bool):
                 raise InputError(f"snapshots = {self.snapshots} must be 1 or more, or a list of times")
@@ -89,4 +97,16 @@ class Problem:
         """Raises InputError if the problem cannot be solved on this grid by this method."""
         self.check_method(method)
         grid.check_memory(self.kept)
+        self.check_line(grid)
+        self.check_profile(grid)
+
+    def check_line(self, grid: Grid) -> None:
+        """Raises InputError if the grid ends where the line does not."""
+        if self.line == "half" and grid.right:
+            raise InputError(f"right = {grid.right:g} needs line = 'whole'; on the half line the top is at x = 0")
+
+    def check_profile(self, grid: Grid) -> None:
+        """Raises InputError if the profile does not fit the grid, or goes on beyond a window."""
         self.profile.check(grid, self.law)
+        if self.line == "whole":
+            tail(self.profile, grid.right, self.law)

@@ -225,7 +225,9 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
     profile = _build(sections["profile"], "kind", _PROFILES, base)
     layer, domain, time, solver, output = (sections[k] for k in ("layer", "domain", "time", "solver", "output"))
     thickness = layer.take("thickness", _number, 0.0)
+    line = domain.take("line", _text, "half")
     grid_values = {"left": domain.take("left", _number), "cells": domain.take("cells", _whole)}
+    grid_values["right"] = domain.take("right", _number, ... if line == "whole" else 0.0)
     time_values = {"end": time.take("end", _number), "snapshots": time.take("snapshots", _count_or_times, 31)}
     method, cfl = solver.take("method", _text, DEFAULT_METHOD), solver.take("cfl", _positive, DEFAULT_CFL)
     tolerance = solver.take("tolerance", _positive, None)
@@ -241,9 +243,11 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
         section = layer
         problem = replace(problem, thickness=thickness)
         section = domain
+        problem = replace(problem, line=line)
         grid.check_memory(problem.kept)
+        problem.check_line(grid)
         section = sections["profile"]
-        profile.check(grid, law)
+        problem.check_profile(grid)
     except InputError as error:
         raise section.error(str(error)) from None
     return Case(name, source, problem, grid, method, cfl, tolerance, vtk, plots, checkpoint, expect)
@@ -259,7 +263,8 @@ def resolved_case(
         "erosion": dict(problem.law.table),
         **({"layer": {"thickness": float(problem.thickness)}} if problem.thickness else {}),
         "profile": dict(problem.profile.table),
-        "domain": {"left": float(grid.left), "cells": int(grid.cells)},
+        "domain": {"left": float(grid.left), "cells": int(grid.cells)}
+        | ({"line": "whole", "right": float(grid.right)} if problem.line == "whole" else {}),
         "time": {
             "end": float(problem.end),
             "snapshots": int(snapshots) if isinstance(snapshots, (int, np.integer)) else [float(t) for t in snapshots],

@@ -22,6 +22,7 @@ from hjprofile.solvers.fronts import track_fronts
 from hjprofile.solvers.high_order import ORDERS
 from hjprofile.solvers.march import Scheme, march
 from hjprofile.solvers.run import Keeper, Run
+from hjprofile.solvers.whole_line import also_on_the_whole_line
 
 Progress = Callable[[float], None]
 
@@ -55,7 +56,7 @@ def solve_hj(
     """
     _known(method, HJ_METHODS)
     problem.check(grid, method)
-    return _solve(hj.scheme(problem, grid, method), problem, grid, method, cfl, progress)
+    return _solve(problem, grid, method, cfl, progress)
 
 
 def solve_conservative(
@@ -72,7 +73,7 @@ def solve_conservative(
     """
     _known(method, CONSERVATIVE_METHODS)
     problem.check(grid, method)
-    return _solve(conservation.scheme(problem, grid, method), problem, grid, method, cfl, progress)
+    return _solve(problem, grid, method, cfl, progress)
 
 
 def solve(problem: Problem, tolerance: float, grid: Grid | None = None, progress: Progress | None = None) -> Run:
@@ -131,8 +132,7 @@ def solve_case(case: Case, progress: Progress | None = None, strict: bool = Fals
     problem, grid, method = case.problem, case.grid, case.method
     if method in HJ_METHODS or method in CONSERVATIVE_METHODS:
         problem.check(grid, method)
-        form = hj if method in HJ_METHODS else conservation
-        return _solve(form.scheme(problem, grid, method), problem, grid, method, case.cfl, progress, strict, keeper)
+        return _solve(problem, grid, method, case.cfl, progress, strict, keeper)
     if method == "auto":
         assert case.tolerance is not None
         run = solve(problem, case.tolerance, grid, progress)
@@ -152,12 +152,15 @@ def _known(method: str, methods: tuple[str, ...]) -> None:
         raise InputError(f"method = {method!r} is not known{hint} (allowed: {', '.join(methods)})")
 
 
+@also_on_the_whole_line
 def _solve(
-    scheme: Scheme, problem: Problem, grid: Grid, method: str, cfl: float, progress: Progress | None,
+    problem: Problem, grid: Grid, method: str, cfl: float, progress: Progress | None,
     strict: bool = False, keeper: Keeper | None = None,
 ) -> Run:  # fmt: skip
+    """Runs a method on a grid, watched."""
     if not cfl > 0:
         raise InputError(f"cfl = {cfl} must be a positive number")
+    scheme: Scheme = (hj if method in HJ_METHODS else conservation).scheme(problem, grid, method)
     promises = WITH_LAYER if problem.thickness else PROMISES[method]
     bounds = BoundsMonitor(
         problem.law, grid, scheme.W, problem.profile.inflow, problem.end, promises,
