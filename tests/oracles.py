@@ -157,3 +157,31 @@ def resolved_layer(q, left, thickness, end):
         h, p = (0.5 * (v + w + dt * r) for v, w, r in zip((h, p), (h1, p1), rates(h1, p1), strict=True))
         t += dt
     return p - 1, h
+
+
+def kinks_on_the_line(positions, amplitudes, times):
+    """Places of the rational law's kinks on the whole line, before two meet, and K there; shape (kinks, times).
+
+    q decays from each like e^{-x}, for ever right of the last; K(∞) = 1 and K/(1+q) is constant in between.
+    """
+    J = np.array([a + w for a, w in zip(amplitudes, _W_at(positions, amplitudes), strict=True)])
+
+    def state(s):
+        met, right, W = np.zeros(s.size), np.empty(s.size), 0.0
+        for j in range(s.size):
+            if j:
+                met[j] = right[j - 1] * np.exp(s[j - 1] - s[j])
+                W = J[j - 1] - met[j]
+            right[j] = J[j] - W
+        K, factor = np.empty(s.size), 1.0
+        for j in range(s.size - 1, -1, -1):
+            factor *= (1 + right[j]) / (1 + (met[j + 1] if j + 1 < s.size else 0.0))
+            K[j] = factor
+        return K, met, right
+
+    def rate(_, s):
+        K, met, right = state(s)
+        return K / ((1 + met) * (1 + right))
+
+    path = solve_ivp(rate, (0.0, times[-1]), positions, method="DOP853", rtol=1e-13, atol=1e-13, t_eval=times).y
+    return path, np.array([state(s)[0] for s in path.T]).T

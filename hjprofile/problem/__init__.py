@@ -10,7 +10,7 @@ import numpy as np
 from hjprofile.errors import InputError
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
-from hjprofile.problem.line import tail
+from hjprofile.problem.line import moved, tail
 from hjprofile.problem.profiles import Profile
 
 LAYER_METHOD = "conservative-telescoping"  # for its flux the bed loses exactly what the layer gains
@@ -107,6 +107,8 @@ class Problem:
 
     def check_profile(self, grid: Grid) -> None:
         """Raises InputError if the profile does not fit the grid, or goes on beyond a window."""
+        if self.line == "whole":
+            moved(self.profile, 0.0)
         self.profile.check(grid, self.law)
         if self.line == "whole":
             tail(self.profile, grid.right, self.law)

@@ -32,7 +32,6 @@ def tail(profile: Profile, right: float, law: ErosionLaw) -> float:
     """
     if isinstance(profile, Kinks):
         return float(law.decay(profile.amplitudes[-1], right - profile.positions[-1]))
-    moved(profile, 0.0)
     if isinstance(profile, Bumps):
         high = replace(profile, amplitudes=np.abs(profile.amplitudes))
         beyond = float(max(np.diff(high.W(np.array([right, np.inf]), law))[0], high.excess(np.array(right))))

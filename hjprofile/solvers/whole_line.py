@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import wraps
-from typing import Concatenate, ParamSpec
+from typing import Any, ParamSpec
 
 import numpy as np
 
@@ -122,15 +122,16 @@ class Window:
             wrong += SMEAR * self.grid.dx * self.slope(time)
         left = np.append(time[np.abs(W - expected) > wrong], exits)
         good = time < left.min() if left.size else time == time
-        status = self.sentence(run.status)
-        if not good.all() or exits or (run.done and self.last < self.whole.end):
+        status, until = self.sentence(run.status), np.inf
+        gone = not good.all() or exits or (run.done and self.last < self.whole.end)
+        if gone:
             status = f"stopped at t = {min([*exits, *time[~good], self.last]):.6g}: {self._advice}"
         if not good.any():
             raise RunError(status)
         pace = dict(zip(run.time.tolist(), K.tolist(), strict=True))
-        until = float(time[good][-1])
         case = resolved_case(self.whole, self.grid, run.method)
-        if not good.all():  # what the run summed up on its way goes on beyond what is kept
+        if gone:  # what the run summed up on its way goes on beyond what is kept
+            until = float(time[good][-1])
             lowered = run.u[good][0] - run.u[good][-1]
             volume = self.grid.dx * float(np.sum(lowered) - 0.5 * (lowered[0] + lowered[-1]))
             run = replace(run, eroded_volume=volume, outflow=np.nan)
@@ -153,28 +154,27 @@ class Window:
             ],
             events=[
                 e._replace(time=self.back(e.time), x=e.x + right)
-                for e in run.events if good.all() or self.back(e.time) <= until
+                for e in run.events if self.back(e.time) <= until
             ],
             bounds={name: b._replace(time=self.back(b.time), x=b.x + right) for name, b in run.bounds.items()},
         )  # fmt: skip
 
 
-def also_on_the_whole_line(
-    solver: Callable[Concatenate[Problem, Grid, P], Run],
-) -> Callable[Concatenate[Problem, Grid, P], Run]:
-    """A solver for the half line that solves on windows of the whole line as well."""
+def also_on_the_whole_line(solver: Callable[P, Run]) -> Callable[P, Run]:
+    """A solver for the half line, of a problem and a grid, that solves on windows of the whole line as well."""
 
-    @wraps(solver)
-    def solve(problem: Problem, grid: Grid, *args: P.args, **kwargs: P.kwargs) -> Run:
+    run_half: Callable[..., Run] = solver
+
+    def solve(problem: Problem, grid: Grid | None = None, *args: Any, **kwargs: Any) -> Run:
         if problem.line == "half":
-            return solver(problem, grid, *args, **kwargs)
+            return run_half(problem, grid, *args, **kwargs)
         if grid is None:
             raise InputError("line = 'whole' needs a grid that says where the window ends")
         window = Window(problem, grid)
         try:
-            run = solver(window.problem, window.half_grid, *args, **kwargs)
+            run = run_half(window.problem, window.half_grid, *args, **kwargs)
         except RunError as error:
             raise RunError(window.sentence(str(error))) from None
         return window.run_on_line(run)
 
-    return solve
+    return wraps(solver)(solve)  # type: ignore[return-value]
