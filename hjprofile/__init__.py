@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from hjprofile.evidence.accuracy import observed_order as observed_order
     from hjprofile.evidence.chart import chart as chart
     from hjprofile.evidence.consistency import check_consistency as check_consistency
+    from hjprofile.evidence.slow_erosion import slow_erosion as slow_erosion
     from hjprofile.output.store import load_run as load_run
     from hjprofile.output.store import write_run as write_run
     from hjprofile.problem import Problem as Problem
@@ -52,6 +53,7 @@ _MODULES = {
     "evidence.accuracy": ("Comparison", "compare", "observed_order"),
     "evidence.chart": ("chart",),
     "evidence.consistency": ("check_consistency",),
+    "evidence.slow_erosion": ("slow_erosion",),
     "output.store": ("load_run", "write_run"),
     "problem": ("Problem",),
     "problem.case": ("Case", "load_case", "shipped_cases"),

@@ -123,7 +123,7 @@ BAD |= {
         "",
         ["erosoin is not a known key; did you mean 'erosion'?", "(allowed: title,"],
     ),
-    "unknown top key": ({"zzz": 1}, "", ["zzz is not a known key (allowed: title, erosion, profile,"]),
+    "unknown top key": ({"zzz": 1}, "", ["zzz is not a known key (allowed: title, erosion, layer, profile,"]),
     "unknown law": (
         {"erosion.law": "linear"},
         "erosion",
@@ -138,6 +138,48 @@ BAD |= {
     "key of another kind": ({"profile.flux": 0.3}, "profile", ["flux is not a known key", "amplitudes"]),
     "left = 0": ({"domain.left": 0}, "domain", ["left = 0.0 must be a negative number"]),
     "left > 0": ({"domain.left": 2.5}, "domain", ["left = 2.5 must be a negative number: the top of the slope"]),
+    "right on the half line": (
+        {"domain.right": 2.5},
+        "domain",
+        ["right = 2.5 needs line = 'whole'", "the top is at x"],
+    ),
+    "no right on the line": ({"domain.line": "whole"}, "domain", ["right is missing; it must be a finite number"]),
+    "unknown line": ({"domain.line": "double"}, "domain", ["line = 'double' is not known", "'half', 'whole'"]),
+    "right of left": (
+        {"domain.line": "whole", "domain.left": 2.0, "domain.right": 1.5},
+        "domain",
+        ["left = 2.0 must be less than right = 1.5"],
+    ),
+    "past the window": (
+        {"domain.line": "whole", "domain.right": -2.5},
+        "profile",
+        ["positions[1] = -2 lies past right = -2.5, where the window ends"],
+    ),
+    "a bump past the window": (
+        {
+            "domain.line": "whole",
+            "domain.right": -2.0,
+            "profile": {"kind": "bumps", "amplitudes": [0.5], "centres": [-3.0], "widths": [0.5]},
+        },
+        "profile",
+        ["the slope is not critical from right = -2 on", "set right to more"],
+    ),
+    "a steady slope on the line": (
+        {"domain.line": "whole", "domain.right": 1.0, "profile": {"kind": "steady", "flux": 0.3, "kink": -2.0}},
+        "profile",
+        ["kind = 'steady' belongs to the half line"],
+    ),
+    "no thickness": ({"layer": {"thickness": -0.5}}, "layer", ["thickness = -0.5 must be a number, 0 or more"]),
+    "a layer under another law": (
+        {"layer": {"thickness": 0.5}, "erosion.law": "log"},
+        "layer",
+        ["thickness = 0.5 needs the law 'rational', not 'log'"],
+    ),
+    "a layer on the line": (
+        {"layer": {"thickness": 0.5}, "domain.line": "whole", "domain.right": 1.0},
+        "domain",
+        ["thickness = 0.5 needs line = 'half'"],
+    ),
     "no cells": ({"domain.cells": 0}, "domain", ["cells = 0 must be a whole number, 4 or more"]),
     "negative cells": ({"domain.cells": -5}, "domain", ["cells = -5 must be a whole number, 4 or more"]),
     "too many cells": ({"domain.cells": 10**15}, "domain", [f"cells = {10**15} with 3 snapshots needs", "cells fit"]),

@@ -160,3 +160,59 @@ def means_of_samples(x, q, nodes):
 
     W = make_interp_spline(x, q, k=5).antiderivative()(np.clip(nodes, x[0], x[-1]))
     return np.diff(W) / np.diff(nodes)
+
+
+def resolved_layer(q, left, thickness, end):
+    """Cell means of q and of h below a rolling layer, in the paper's own variables and its own, fast time [eq2].
+
+    h_t - (h p)_x = (p-1) h, p_t + ((p-1) h)_x = 0, h p = thickness at x = 0, no layer at first; upwind with limited
+    linear reconstruction (minmod), the source by cell means, Heun's steps that resolve the layer's fast time.
+    """
+    n = q.size
+    dx, t, last = -left / n, 0.0, end / thickness
+
+    def limited(v, before, after):
+        back, ahead = np.diff(v, prepend=before), np.diff(v, append=after)
+        return 0.5 * np.where(back * ahead > 0, np.sign(back) * np.minimum(np.abs(back), np.abs(ahead)), 0.0)
+
+    def rates(h, p):
+        half_h, half_p = limited(h, h[0], thickness / p[-1]), limited(p, p[0], p[-1])
+        grains = np.append((h - half_h) * (p - half_p), thickness)  # run to the left
+        eroded = np.append(0.0, (h + half_h) * (p + half_p - 1))  # slopes run to the right
+        return np.diff(grains) / dx + (p - 1) * h, -np.diff(eroded) / dx
+
+    h, p = np.zeros(n), 1 + q
+    while t < last:
+        dt = min(0.4 * dx / np.max(p + h), last - t)
+        h1, p1 = (v + dt * r for v, r in zip((h, p), rates(h, p), strict=True))
+        h, p = (0.5 * (v + w + dt * r) for v, w, r in zip((h, p), (h1, p1), rates(h1, p1), strict=True))
+        t += dt
+    return p - 1, h
+
+
+def kinks_on_the_line(positions, amplitudes, times):
+    """Places of the rational law's kinks on the whole line, before two meet, and K there; shape (kinks, times).
+
+    q decays from each like e^{-x}, for ever right of the last; K(∞) = 1 and K/(1+q) is constant in between.
+    """
+    J = np.array([a + w for a, w in zip(amplitudes, _W_at(positions, amplitudes), strict=True)])
+
+    def state(s):
+        met, right, W = np.zeros(s.size), np.empty(s.size), 0.0
+        for j in range(s.size):
+            if j:
+                met[j] = right[j - 1] * np.exp(s[j - 1] - s[j])
+                W = J[j - 1] - met[j]
+            right[j] = J[j] - W
+        K, factor = np.empty(s.size), 1.0
+        for j in range(s.size - 1, -1, -1):
+            factor *= (1 + right[j]) / (1 + (met[j + 1] if j + 1 < s.size else 0.0))
+            K[j] = factor
+        return K, met, right
+
+    def rate(_, s):
+        K, met, right = state(s)
+        return K / ((1 + met) * (1 + right))
+
+    path = solve_ivp(rate, (0.0, times[-1]), positions, method="DOP853", rtol=1e-13, atol=1e-13, t_eval=times).y
+    return path, np.array([state(s)[0] for s in path.T]).T

@@ -163,10 +163,15 @@ def random_content(rng):
     """A case, as a table, whose values fit together more often than not."""
     content = copy.deepcopy(VALID) | {"erosion": random_law(rng), "profile": random_profile(rng)}
     content["domain"] = {"left": rng.choice([-6.0, -12.0, -rng.uniform(0.1, 50.0)]), "cells": rng.randint(4, 60)}
+    if rng.random() < 0.2:
+        content["domain"] |= {"line": "whole", "right": rng.choice([0.0, rng.uniform(-3.0, 6.0)])}
     end = rng.choice([0.0, 1.0, 1e-12, 10.0 ** rng.uniform(-3, 3)])
     times = sorted({round(rng.uniform(0.0, end), 6) for _ in range(rng.randint(1, 4))})
     content["time"] = {"end": end, "snapshots": rng.choice([1, 2, rng.randint(1, 50), times])}
     content["solver"] = {"method": rng.choice(METHODS), "cfl": rng.choice([0.9, 1.0, rng.uniform(0.01, 5.0)])}
+    if rng.random() < 0.1:
+        content["layer"] = {"thickness": 10.0 ** rng.uniform(-4, 1)}
+        content["erosion"], content["solver"]["method"] = {"law": "rational"}, "conservative-telescoping"
     if rng.random() < 0.3:
         content["solver"]["tolerance"] = 10.0 ** rng.uniform(-15, 1)
     content["output"] = {"vtk": rng.random() < 0.5, "plots": rng.random() < 0.5}

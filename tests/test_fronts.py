@@ -111,8 +111,15 @@ def test_agrees_with_extrapolated_godunov():
 
 
 @pytest.mark.slow
-# at their ends those slopes are flat
-@pytest.mark.parametrize("name", [n for n in shipped_cases() if n not in ("two_kinks", "to_the_critical_slope")])
+# at their ends two slopes are flat; the others are other models, or windows that something leaves
+@pytest.mark.parametrize(
+    "name",
+    [
+        n
+        for n in shipped_cases()
+        if n not in ("two_kinks", "to_the_critical_slope", "two_kinks_in_steps", "thin_layer", "drying_channel")
+    ],
+)
 def test_the_grid_solvers_converge_to_fronts(name):
     """14 grids of 500 to 4000 cells against 6400 fronts; table in theory §5.
 

@@ -39,6 +39,10 @@ def test_case_meets_its_expectation(name):
 @pytest.mark.parametrize("name", hj.shipped_cases())
 def test_case_passes_the_consistency_test(name):
     case = hj.load_case(name)
+    if case.problem.thickness:  # there is one solver for this model, not two to compare
+        with pytest.raises(hj.InputError, match="by the method conservative-telescoping only"):
+            hj.check_consistency(case.problem, case.grid, case.cfl)
+        return
     checks = hj.check_consistency(case.problem, case.grid, case.cfl)
     assert [c.name for c in checks if not c.passes] == []
 

@@ -42,7 +42,7 @@ def compare(first: Run, second: Run) -> Comparison:
     if first.cells % cells or second.cells % cells or first.x[0] != second.x[0]:
         raise InputError(f"grids of {first.cells} and {second.cells} cells do not nest, so they cannot be compared")
     a, b = first.u[i][:, :: first.cells // cells], second.u[j][:, :: second.cells // cells]
-    dx = -float(first.x[0]) / cells
+    dx = float(np.ptp(first.x)) / cells
     slope = np.diff(a, axis=1) / dx - 1.0 - second.q[j].reshape(times.size, cells, -1).mean(axis=2)
     apart = [_kink_distances(first, second, t) for t in times if t > 0]
     pairs = np.concatenate(apart) if apart else np.empty(0)

@@ -77,10 +77,10 @@ def chart(
             run, seconds = runs[0], float(np.median([r.wall_seconds for r in runs]))
             if run.done:
                 if run.cells not in known:
-                    known[run.cells] = reference.at(Grid(grid.left, run.cells))
+                    known[run.cells] = reference.at(replace(grid, cells=run.cells))
                 u, q = known[run.cells]
                 u_sup = float(np.abs(run.u - u).max())
-                q_l1 = -grid.left / run.cells * float(np.abs(run.q[-1] - q).sum())
+                q_l1 = replace(grid, cells=run.cells).dx * float(np.abs(run.q[-1] - q).sum())
                 points.append(Point(case, method, cells, u_sup, q_l1, seconds, run.steps))
             if progress:
                 progress((i + (cells / ladder[-1][0]) ** 2) / len(plan))
@@ -97,9 +97,9 @@ Ladder = Sequence[tuple[int, Callable[[], Run]]]
 def _plan(problem: Problem, grid: Grid, cfl: float) -> Iterator[tuple[str, Ladder]]:
     """Every method with its resolutions: a number for the chart, and the run."""
     for method in HJ_METHODS:
-        yield method, [(n, partial(solve_hj, problem, Grid(grid.left, n), method, cfl)) for n in CELLS]
+        yield method, [(n, partial(solve_hj, problem, replace(grid, cells=n), method, cfl)) for n in CELLS]
     for method in CONSERVATIVE_METHODS:
-        yield method, [(n, partial(solve_conservative, problem, Grid(grid.left, n), method, cfl)) for n in CELLS]
+        yield method, [(n, partial(solve_conservative, problem, replace(grid, cells=n), method, cfl)) for n in CELLS]
     if not problem.profile.inflow:
         yield "fronts", [(n, partial(track_fronts, problem, grid, n)) for n in FRONTS]
         yield "characteristics", [(grid.cells, partial(solve_characteristics, problem, grid, e)) for e in TOLERANCES]

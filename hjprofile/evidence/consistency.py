@@ -8,6 +8,7 @@ of one to the other is evidence that both solve the equation.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -76,7 +77,7 @@ def check_consistency(
     runs: dict[tuple[str, int], Run] = {}
     for i, (method, cells) in enumerate(plan):
         solve = solve_conservative if method.startswith("conservative") else solve_hj
-        runs[method, cells] = solve(problem, Grid(grid.left, cells), method, cfl, refresh=refresh)
+        runs[method, cells] = solve(problem, replace(grid, cells=cells), method, cfl, refresh=refresh)
         if progress:
             progress((i + 1) / len(plan))
     checks = [*_completed(runs), *_identities(runs, finest), *_independence(runs, ladder)]
@@ -122,7 +123,7 @@ def _independence(runs: dict[tuple[str, int], Run], ladder: list[int]) -> Iterat
         yield _ordered(f"independence:{method}:u", ladder, [c.height_l1 for c in apart], ORDER_U)
         distances = [c.kinks for c in apart]
         if np.all(np.isfinite(distances)):
-            most = KINK_CELLS * -float(runs[method, ladder[-1]].x[0]) / ladder[-1]
+            most = KINK_CELLS * float(np.ptp(runs[method, ladder[-1]].x)) / ladder[-1]
             order = _finite(observed_order(ladder, distances))
             passes = bool(distances[-1] <= most or (order is not None and order >= ORDER_KINKS))
             rule = f"mean distance of kinks <= {KINK_CELLS:g} dx, or falls with an order >= {ORDER_KINKS:g}"
@@ -142,7 +143,7 @@ def _third_witness(
     """
     if problem.profile.inflow:
         return
-    fine = Grid(grid.left, ladder[-1])
+    fine = replace(grid, cells=ladder[-1])
     fronts = track_fronts(problem, fine)
     kept = fronts.done and all(b.holds for b in fronts.bounds.values())
     try:
@@ -165,7 +166,7 @@ def _third_witness(
     for method, errors in apart.items():
         yield _ordered(f"{exact.method}:{method}:u", ladder, errors, ORDER_U)
     share = apart["conservative"][-1] / max(apart["godunov"][-1], ROUNDING)
-    start = problem.profile.q_means(Grid(grid.left, ladder[-1]), problem.law)
+    start = problem.profile.q_means(replace(grid, cells=ladder[-1]), problem.law)
     most = SHARE_WITH_FANS if np.min(np.diff(start)) < -DOWNWARD_JUMP else SHARE
     passes = share <= most or observed_order(ladder, apart["conservative"]) >= ORDER_CONSERVATIVE
     rule = f"distance of conservative <= {most:g} of that of godunov, or order >= {ORDER_CONSERVATIVE:g}"

@@ -129,6 +129,9 @@ def stability(case: str, problem: Problem, grid: Grid, progress: Callable[[float
     On CELLS cells. Raises InputError where something flows in, no time passes, the slope is critical all over, or a
     coefficient is prescribed.
     """
+    problem.check_method("")
+    if problem.line == "whole":
+        raise InputError(f"{case}: a scan is of the half line; set line = 'half'")
     if problem.profile.inflow:
         raise InputError(f"{case}: something flows in at the left end; a scan needs a profile with q = 0 there")
     if problem.coefficient is not None:

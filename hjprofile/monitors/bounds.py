@@ -46,6 +46,8 @@ HIGHER_ORDER: Promises = MappingProxyType(
 # Whatever the factor is: the other facts use that K is made of q, and hold for a factor that is kept to first order
 # in the time that it is kept, without a constant that is known
 FOR_ANY_FACTOR = ("mass_budget", "signs", "l1_decay", "flux_maximum", "flux_variation", "kruzkov")
+# K of the 2x2 model is not that of q, and q < 0 may fall: what is left is that a slope is carried along, by H > 0
+WITH_LAYER: Promises = MappingProxyType(dict.fromkeys(("mass_budget", "volume_budget", "signs", "l1_decay"), EXACT))
 STOPPING = ("mass_budget", "volume_budget")  # where they are kept to rounding, nothing is right that breaks them
 
 

@@ -256,7 +256,8 @@ def _axes_units(run: Run) -> tuple[Array, Array, str, str]:
     """x, u in the survey's units if there is one, with labels of the axes."""
     if run.units:
         return run.units.x(run.x), run.units.height(run.u), "x (units of the survey)", "height (units of the survey)"
-    return run.x, run.u, "x (in exchange lengths; the top is at 0)", "height u"
+    top = "" if run.x[-1] else "; the top is at 0"
+    return run.x, run.u, f"x (in exchange lengths{top})", "height u"
 
 
 def _reason(run: Run) -> list[str]:

@@ -21,7 +21,7 @@ import tomli_w
 
 import hjprofile
 from hjprofile.errors import InputError
-from hjprofile.problem.profiles import Units
+from hjprofile.problem.units import Units
 from hjprofile.solvers.run import Event, KinkRecord, Run, Verdict
 
 VTK_FOLDER = "vtk"

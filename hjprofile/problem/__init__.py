@@ -11,7 +11,12 @@ from hjprofile.errors import InputError
 from hjprofile.problem.coefficient import Coefficient
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
+from hjprofile.problem.line import moved, tail
 from hjprofile.problem.profiles import Profile
+
+LAYER_METHOD = "conservative-telescoping"  # for its flux the bed loses exactly what the layer gains
+LINES = "half", "whole"
+OFF_GRID = "fronts", "characteristics", "auto"
 
 
 @dataclass(frozen=True)
@@ -24,6 +29,9 @@ class Problem:
         end: mass of grains poured in all; it serves as time.
         snapshots: a count (evenly spaced, both ends) or the times that are kept.
         coefficient: k(t, x) in place of the nonlocal factor (theory, §9); None for the factor itself.
+        thickness: of the rolling layer at the top where the slope is critical, which is the flux ε that is poured in
+            (theory, §8); 0 is the limit of slow erosion.
+        line: "half", the slope x <= 0 below its top, or "whole", of which the grid is a window (theory, §13).
     """
 
     law: ErosionLaw
@@ -32,10 +40,30 @@ class Problem:
     snapshots: int | Sequence[float] = 31
     title: str = ""
     coefficient: Coefficient | None = None
+    thickness: float = 0.0
+    line: str = "half"
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.end) and self.end >= 0):
             raise InputError(f"end = {self.end} must be a number, 0 or more")
+        if not (np.isfinite(self.thickness) and self.thickness >= 0):
+            raise InputError(f"thickness = {self.thickness} must be a number, 0 or more")
+        if self.thickness and self.law.name != "rational":
+            raise InputError(
+                f"thickness = {self.thickness:g} needs the law 'rational', not {self.law.name!r}: the model with a "
+                "rolling layer has no other"
+            )
+        if self.line not in LINES:
+            raise InputError(f"line = {self.line!r} is not known; allowed are {', '.join(map(repr, LINES))}")
+        if self.thickness and self.line == "whole":
+            raise InputError(f"thickness = {self.thickness:g} needs line = 'half': grains that start at the top")
+        changes = {
+            "a coefficient": self.coefficient is not None,
+            "a layer's thickness": self.thickness > 0.0,
+            "line = 'whole'": self.line == "whole",
+        }
+        if sum(changes.values()) > 1:
+            raise InputError(f"{' and '.join(name for name, asked in changes.items() if asked)} do not go together")
         if isinstance(self.snapshots, (int, np.integer)):
             if self.snapshots < 1 or isinstance(self.snapshots, bool):
                 raise InputError(f"snapshots = {self.snapshots} must be 1 or more, or a list of times")
@@ -67,18 +95,48 @@ class Problem:
             return np.zeros(1)
         return np.linspace(0.0, self.end, self.snapshots) if self.snapshots > 1 else np.array([float(self.end)])
 
-    def check_invariant(self, method: str) -> None:
-        """Raises InputError if there is no invariant that the method could follow."""
-        if self.coefficient is not None:
+    def check_method(self, method: str, refresh: float | None = None) -> None:
+        """Raises InputError if the method cannot solve this problem on any grid, with a factor that is kept so long."""
+        if self.thickness and method != LAYER_METHOD:
+            raise InputError(
+                f"thickness = {self.thickness:g}: a slope with a rolling layer is solved by the method "
+                f"{LAYER_METHOD} only"
+            )
+        if self.coefficient is not None and method in OFF_GRID:
             raise InputError(
                 f"the method {method} follows the invariant I, which a given coefficient does not have; "
                 "use a method on a grid, such as conservative"
             )
+        if refresh is None:
+            return
+        if method in OFF_GRID:
+            raise InputError(
+                f"refresh applies to methods on a grid; {method} follows the invariant I, which a factor that is kept "
+                "does not have"
+            )
+        if self.thickness or self.line == "whole":
+            what = "a rolling layer" if self.thickness else "line = 'whole'"
+            raise InputError(f"refresh = {refresh:g} does not go together with {what}; leave it out")
 
     @np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks refuse
-    def check(self, grid: Grid) -> None:
-        """Raises InputError if the problem cannot be solved on this grid."""
+    def check(self, grid: Grid, method: str, refresh: float | None = None) -> None:
+        """Raises InputError if the problem cannot be solved on this grid by this method."""
+        self.check_method(method, refresh)
         grid.check_memory(self.kept)
+        self.check_line(grid)
+        self.check_profile(grid)
+
+    def check_line(self, grid: Grid) -> None:
+        """Raises InputError if the grid ends where the line does not."""
+        if self.line == "half" and grid.right:
+            raise InputError(f"right = {grid.right:g} needs line = 'whole'; on the half line the top is at x = 0")
+
+    def check_profile(self, grid: Grid) -> None:
+        """Raises InputError if the profile does not fit the grid, or goes on beyond a window."""
+        if self.line == "whole":
+            moved(self.profile, 0.0)
         self.profile.check(grid, self.law)
+        if self.line == "whole":
+            tail(self.profile, grid.right, self.law)
         if self.coefficient is not None:
             self.coefficient.check(grid.nodes, self.end)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -227,7 +227,7 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
     title = top.take("title", _text, name)
     sections = {
         key: _Section(source, key, top.take(key, _table, {}))
-        for key in ("erosion", "profile", "coefficient", "domain", "time", "solver", "output")
+        for key in ("erosion", "layer", "profile", "coefficient", "domain", "time", "solver", "output")
     }
     expect = top.take("expect", _table, {})
     top.finish()
@@ -235,24 +235,31 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
     law = _build(sections["erosion"], "law", _LAWS, base)
     profile = _build(sections["profile"], "kind", _PROFILES, base)
     given = _build(sections["coefficient"], "kind", _COEFFICIENTS, base) if "coefficient" in content else None
-    domain, time, solver, output = (sections[k] for k in ("domain", "time", "solver", "output"))
+    layer, domain, time, solver, output = (sections[k] for k in ("layer", "domain", "time", "solver", "output"))
+    thickness = layer.take("thickness", _number, 0.0)
+    line = domain.take("line", _text, "half")
     grid_values = {"left": domain.take("left", _number), "cells": domain.take("cells", _whole)}
+    grid_values["right"] = domain.take("right", _number, ... if line == "whole" else 0.0)
     time_values = {"end": time.take("end", _number), "snapshots": time.take("snapshots", _count_or_times, 31)}
     method, cfl = solver.take("method", _text, DEFAULT_METHOD), solver.take("cfl", _positive, DEFAULT_CFL)
     tolerance, refresh = solver.take("tolerance", _positive, None), solver.take("refresh", _positive, None)
     vtk, plots = output.take("vtk", _switch, True), output.take("plots", _switch, True)
     checkpoint = output.take("checkpoint", _positive, DEFAULT_CHECKPOINT)
-    for section in (domain, time, solver, output):
+    for section in (layer, domain, time, solver, output):
         section.finish()
     section = domain
     try:
         grid = Grid(**grid_values)
         section = time
         problem = Problem(law, profile, title=title, coefficient=given, **time_values)
+        section = layer
+        problem = replace(problem, thickness=thickness)
         section = domain
+        problem = replace(problem, line=line)
         grid.check_memory(problem.kept)
+        problem.check_line(grid)
         section = sections["profile"]
-        profile.check(grid, law)
+        problem.check_profile(grid)
         if given is not None:
             section = sections["coefficient"]
             given.check(grid.nodes, problem.end)
@@ -274,9 +281,11 @@ def resolved_case(
     return {
         "title": problem.title,
         "erosion": dict(problem.law.table),
+        **({"layer": {"thickness": float(problem.thickness)}} if problem.thickness else {}),
         "profile": dict(problem.profile.table),
         **({} if problem.coefficient is None else {"coefficient": dict(problem.coefficient.table)}),
-        "domain": {"left": float(grid.left), "cells": int(grid.cells)},
+        "domain": {"left": float(grid.left), "cells": int(grid.cells)}
+        | ({"line": "whole", "right": float(grid.right)} if problem.line == "whole" else {}),
         "time": {
             "end": float(problem.end),
             "snapshots": int(snapshots) if isinstance(snapshots, (int, np.integer)) else [float(t) for t in snapshots],

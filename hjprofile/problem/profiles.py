@@ -15,6 +15,7 @@ import numpy as np
 from hjprofile.errors import InputError
 from hjprofile.problem.erosion import Array, ErosionLaw
 from hjprofile.problem.grid import Grid
+from hjprofile.problem.units import Units
 
 TAIL = 1e-6  # mass and slope that a grid may cut off on the left; a grid solver's own error is larger
 
@@ -38,37 +39,16 @@ def _same_length(**named: Array) -> None:
             raise InputError(f"{name} has {b.size} entries and {first} has {a.size}; they must be as many")
 
 
+def _within(grid: Grid, name: str, places: Array) -> None:
+    if places[-1] > grid.right:
+        end = f"right = {grid.right:g}, where the window ends" if grid.right else "the top; the domain ends at x = 0"
+        raise InputError(f"{name}[{places.size - 1}] = {places[-1]:g} lies past {end}")
+
+
 def _above_minus_one(name: str, values: Array) -> None:
     if np.any(values <= -1.0):
         i = int(np.argmax(values <= -1.0))
         raise InputError(f"{name}[{i}] = {values[i]:g} must be above -1: the slope u_x = 1 + q is positive")
-
-
-@dataclass(frozen=True)
-class Units:
-    """The way back from a dimensionless solution to the survey's units.
-
-    Attributes:
-        length: exchange length.
-        critical_slope: height over length.
-        x_top, height_top: where the survey's last point lies.
-    """
-
-    length: float
-    critical_slope: float
-    x_top: float
-    height_top: float
-
-    def x(self, x) -> Array:
-        return self.x_top + self.length * np.asarray(x)
-
-    def height(self, u) -> Array:
-        return self.height_top + self.length * self.critical_slope * np.asarray(u)
-
-    @property
-    def volume(self) -> float:
-        """One unit of poured mass, as a volume per unit width of the slope."""
-        return self.length**2 * self.critical_slope
 
 
 class Profile:
@@ -151,8 +131,6 @@ class Kinks(Profile):
         _same_length(positions=x, amplitudes=a)
         if np.any(np.diff(x) <= 0):
             raise InputError(f"positions = {x.tolist()} must increase from left to right")
-        if x[-1] > 0:
-            raise InputError(f"positions[{x.size - 1}] = {x[-1]:g} lies past the top; the domain ends at x = 0")
         object.__setattr__(self, "positions", x)
         object.__setattr__(self, "amplitudes", a)
 
@@ -164,6 +142,7 @@ class Kinks(Profile):
         return float(self.positions[0])
 
     def check(self, grid: Grid, law: ErosionLaw) -> None:
+        _within(grid, "positions", self.positions)
         self._pieces(law)
         super().check(grid, law)
 
@@ -220,13 +199,21 @@ class Bumps(Profile):
             raise InputError(f"widths[{np.argmax(w <= 0)}] = {w[np.argmax(w <= 0)]:g} must be positive")
         for name, value in (("amplitudes", a), ("centres", c), ("widths", w)):
             object.__setattr__(self, name, value)
-        # q by the formula, sampled finely around every bump: a cell mean can hide a narrow dip
-        x = np.minimum((c[:, None] + w[:, None] * np.linspace(-5, 5, 2001)).ravel(), 0.0)
+        self._check_slopes(0.0)
+
+    def _check_slopes(self, right: float) -> None:
+        """q by the formula, sampled finely around every bump: a cell mean can hide a narrow dip."""
+        reach = self.widths[:, None] * np.linspace(-5, 5, 2001)
+        x = np.minimum((self.centres[:, None] + reach).ravel(), right)
         q = self.excess(x)
         if np.any(q <= -1):
             raise InputError(
                 f"q = {q.min():.6g} at x = {x[np.argmin(q)]:.6g}; q must be above -1 everywhere (u_x = 1 + q > 0)"
             )
+
+    def check(self, grid: Grid, law: ErosionLaw) -> None:
+        self._check_slopes(grid.right)
+        super().check(grid, law)
 
     @property
     def table(self) -> Mapping[str, Any]:
@@ -266,8 +253,6 @@ class Points(Profile):
             raise InputError(f"x[{np.argmax(np.diff(x) < 0) + 1}] must not be left of the point before it")
         if np.any((np.diff(x)[1:] == 0) & (np.diff(x)[:-1] == 0)):
             raise InputError("x holds a position three times; a jump takes two")
-        if x[-1] > 0:
-            raise InputError(f"x[{x.size - 1}] = {x[-1]:g} lies past the top; the domain ends at x = 0")
         _above_minus_one("q", q)
         object.__setattr__(self, "x", x)
         object.__setattr__(self, "q", q)
@@ -278,6 +263,12 @@ class Points(Profile):
 
     def start(self, tail: float = TAIL) -> float:
         return float(self.x[0])
+
+    def check(self, grid: Grid, law: ErosionLaw) -> None:
+        if self.table["kind"] == "steps":
+            _within(grid, "edges", np.unique(self.x))
+        _within(grid, "x", self.x)
+        super().check(grid, law)
 
     def breaks(self, law: ErosionLaw) -> Array:
         x = np.unique(self.x)
@@ -432,8 +423,6 @@ def steps(edges: Sequence[float], values: Sequence[float]) -> Profile:
         raise InputError(f"edges has {e.size} entries and values has {v.size}; edges must have one more than values")
     if np.any(np.diff(e) <= 0):
         raise InputError(f"edges = {e.tolist()} must increase from left to right")
-    if e[-1] > 0:
-        raise InputError(f"edges[{e.size - 1}] = {e[-1]:g} lies past the top; the domain ends at x = 0")
     _above_minus_one("values", v)
     table = {"kind": "steps", "edges": e.tolist(), "values": v.tolist()}
     return Points(np.repeat(e, 2)[1:-1], np.repeat(v, 2), source=table)

@@ -37,6 +37,7 @@ from hjprofile.solvers.label_events import (
 )
 from hjprofile.solvers.panels import POINTS, RULE, TAIL, Panels, cut_into_panels, interpolation, tails
 from hjprofile.solvers.run import Array, Event, KinkRecord, Run
+from hjprofile.solvers.whole_line import also_on_the_whole_line
 
 TOLERANCE = 1e-12
 FINEST, COARSEST = 1e-13, 1e-4  # that may be asked for: finer is rounding
@@ -321,6 +322,7 @@ class _Solver:
         return part * h, panels, min(crossed, key=lambda e: abs(found[e] - shift[e])), error
 
 
+@also_on_the_whole_line
 def solve_characteristics(
     problem: Problem,
     grid: Grid | None = None,
@@ -335,12 +337,11 @@ def solve_characteristics(
     """
     if not FINEST <= tolerance <= COARSEST:
         raise InputError(f"tolerance = {tolerance:g} must lie between {FINEST:g} and {COARSEST:g}")
-    problem.check_invariant("characteristics")
     profile = problem.profile
     if profile.inflow:
         raise InputError("characteristics need q = 0 at the left end; this profile has a flux that enters there")
     grid = grid or profile.grid()
-    problem.check(grid)
+    problem.check(grid, "characteristics")
     height = float(profile.W(grid.nodes[:1], problem.law)[0])
     try:
         panels = cut_into_panels(problem, grid.left)

@@ -81,6 +81,9 @@ def closed_form(problem: Problem) -> ClosedForm | None:
     if problem.coefficient is not None:
         return None
     match problem.profile:
+        case Kinks(positions, amplitudes) if problem.line == "whole":
+            one = len(positions) == 1
+            return travelling_wave(problem.law, float(amplitudes[0]), float(positions[0])) if one else None
         case Kinks(positions, amplitudes) if len(positions) == 1:
             return travelling_kink(problem.law, float(amplitudes[0]), float(positions[0]))
         case Steady(flux, float(kink)):
@@ -128,6 +131,18 @@ def travelling_kink(law: ErosionLaw, amplitude: float, start: float) -> ClosedFo
 
     path, exit_time = _path(rates, -start, [0.0, np.log(amplitude)])
     return ClosedForm(law, path, at, factor, exit_time)
+
+
+def travelling_wave(law: ErosionLaw, amplitude: float, start: float) -> ClosedForm:
+    """§13: the kink of §6b on the whole line moves with the constant speed f'(0), whatever its amplitude; K(∞) = 1."""
+
+    def at(s: float) -> Profile:
+        return Kinks(np.array([s]), np.array([amplitude]))
+
+    def factor(s: float, x: Array) -> Array:
+        return law.R(law.decay(amplitude, x - s)) / law.R(0.0)
+
+    return ClosedForm(law, lambda t: start + t / float(law.R(0.0)), at, factor, np.inf)
 
 
 def kink_into_steady_slope(law: ErosionLaw, flux: float, start: float) -> ClosedForm:

@@ -20,6 +20,7 @@ from hjprofile.solvers.grid_law import GridLaw, grid_law
 from hjprofile.solvers.high_order import HighOrder
 from hjprofile.solvers.kernels import grid as kernels
 from hjprofile.solvers.kernels import wavefront
+from hjprofile.solvers.kernels.layer import layer_pass
 from hjprofile.solvers.march import BESIDE, NEGLIGIBLE
 from hjprofile.solvers.run import Array, Breakdown
 
@@ -75,6 +76,7 @@ class FirstOrder:
     """Forward Euler with one of FLUXES, in plain numpy."""
 
     memory: tuple[str, ...] = ("q", "W_left", "growth", "outflow")
+    kept: tuple  # the state before the last steps
 
     def __init__(
         self, law: GridLaw, grid: Grid, q: Array, W_left: float, inflow: float, flux: FirstOrderFlux,
@@ -132,6 +134,47 @@ class FirstOrder:
 
     def volume(self) -> float:
         return self.grid.dx * float(np.sum(self.W[1:]))
+
+
+class WithLayer(FirstOrder):
+    """The telescoping flux below a rolling layer of finite thickness, by the 2x2 model (theory, §8).
+
+    With ε the flux that is poured in, the layer is ε H thick. H lives on the cells, empty at first; K is the flux of
+    grains at the nodes in the last step, in units of ε. For ε -> 0 this is `FirstOrder`.
+    `growth` counts the grains that the layer holds as well: then the volume budget is the conservation of grains.
+    """
+
+    memory = ("q", "H", "K", "W_left", "growth", "outflow")
+
+    def __init__(self, law: GridLaw, grid: Grid, q: Array, W_left: float, inflow: float, thickness: float):
+        super().__init__(law, grid, q, W_left, inflow, _telescoping)
+        self.thickness = thickness
+        self.H, self.F = np.zeros(grid.cells), np.empty(grid.cells)
+        self.K[:-1] = 0.0
+
+    def evaluate(self) -> float:
+        p = 1.0 + self.q
+        if not np.min(p) > 0.0:
+            raise Breakdown(self.q, self.K)
+        speed = float(np.max(np.maximum(self.K[:-1], self.K[1:]) / np.minimum(p, p * p)))
+        if not speed < np.inf:
+            raise Breakdown(self.q, self.K)
+        return speed
+
+    def advance(self, dt: float, steps: int, bound: float) -> float:
+        self.kept = self.q, self.H, self.K, self.W_left, self.growth, self.outflow
+        self.q, self.H, self.K = self.q.copy(), self.H.copy(), self.K.copy()
+        taken = steps if dt > 0.0 else 0
+        speed, grown, outflow = layer_pass(
+            self.q, self.H, self.K, self.F, self.grid.dx, dt, taken, bound, self.thickness, self.inflow
+        )
+        self.W_left -= dt * steps * self.inflow
+        self.growth += grown
+        self.outflow += outflow
+        return float(speed)
+
+    def restore(self) -> None:
+        self.q, self.H, self.K, self.W_left, self.growth, self.outflow = self.kept
 
 
 class SecondOrder:
@@ -229,6 +272,8 @@ def scheme(
     q = np.diff(W) / grid.dx
     data = (grid_law(problem.law, q), grid, q, float(W[0]), problem.profile.inflow)
     factor = factor_of(problem, grid, refresh)
+    if problem.thickness:
+        return WithLayer(*data, problem.thickness)
     if method in HIGH_ORDER:
         return HighOrderConservation(*data, HIGH_ORDER[method], factor)
     return SecondOrder(*data, factor) if method == "conservative" else FirstOrder(*data, FLUXES[method], factor)

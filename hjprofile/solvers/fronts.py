@@ -25,6 +25,7 @@ from hjprofile.solvers.kernels import fronts as kernels
 from hjprofile.solvers.kernels.exact_fronts import advance_exactly
 from hjprofile.solvers.kernels.law import LawTable, law_q_f, start_pieces
 from hjprofile.solvers.run import Array, Event, KinkRecord, Run
+from hjprofile.solvers.whole_line import also_on_the_whole_line
 
 REACH = 4.0  # spacings that the fastest front may cross in a step: then time adds little to the error of space
 FOLDS = 5000.0  # e-folds of K that are cut through: the time for a run grows with their square, 20 s for these
@@ -229,6 +230,7 @@ class _Tracker:
         return records
 
 
+@also_on_the_whole_line
 def track_fronts(
     problem: Problem,
     grid: Grid | None = None,
@@ -248,12 +250,11 @@ def track_fronts(
     """
     if fronts < 4:
         raise InputError(f"fronts = {fronts} must be 4 or more")
-    problem.check_invariant("fronts")
     profile = problem.profile
     if profile.inflow:
         raise InputError("front tracking needs q = 0 at the left end; this profile has a flux that enters there")
     grid = grid or profile.grid()
-    problem.check(grid)
+    problem.check(grid, "fronts")
     data, table = cut_into_fronts(problem, grid.left, fronts)
     tracker = _Tracker(data, table, exact=data.kinks_only if exact is None else exact)
     height = float(profile.W(grid.nodes[:1], problem.law)[0])

@@ -11,9 +11,9 @@ from types import MappingProxyType
 import numpy as np
 
 from hjprofile.errors import InputError, RunError
-from hjprofile.monitors.bounds import HIGHER_ORDER, LOCAL, MONOTONE, TELESCOPING, BoundsMonitor, Promises
+from hjprofile.monitors.bounds import HIGHER_ORDER, LOCAL, MONOTONE, TELESCOPING, WITH_LAYER, BoundsMonitor, Promises
 from hjprofile.monitors.kinks import KinkTracker
-from hjprofile.problem import Problem
+from hjprofile.problem import OFF_GRID, Problem
 from hjprofile.problem.case import DEFAULT_CFL, DEFAULT_METHOD, Case, resolved_case
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers import conservation, hj
@@ -22,6 +22,7 @@ from hjprofile.solvers.fronts import track_fronts
 from hjprofile.solvers.high_order import ORDERS
 from hjprofile.solvers.march import Scheme, march
 from hjprofile.solvers.run import Keeper, Run
+from hjprofile.solvers.whole_line import also_on_the_whole_line
 
 Progress = Callable[[float], None]
 
@@ -38,7 +39,6 @@ PROMISES: Mapping[str, Promises] = MappingProxyType(
         **{f"{form}local-lax-friedrichs": LOCAL for form in ("", "conservative-")},
     }
 )
-OFF_GRID = ("fronts", "characteristics", "auto")
 METHODS = (*HJ_METHODS, *CONSERVATIVE_METHODS, *OFF_GRID)
 
 
@@ -57,8 +57,8 @@ def solve_hj(
     run that breaks down returns what was good, with the reason in `status`.
     """
     _known(method, HJ_METHODS)
-    problem.check(grid)
-    return _solve(hj.scheme(problem, grid, method, refresh), problem, grid, method, cfl, progress)
+    problem.check(grid, method, refresh)
+    return _solve(problem, grid, method, cfl, progress, refresh=refresh)
 
 
 def solve_conservative(
@@ -75,8 +75,8 @@ def solve_conservative(
     the two forms agree to rounding. Otherwise as `solve_hj`.
     """
     _known(method, CONSERVATIVE_METHODS)
-    problem.check(grid)
-    return _solve(conservation.scheme(problem, grid, method, refresh), problem, grid, method, cfl, progress)
+    problem.check(grid, method, refresh)
+    return _solve(problem, grid, method, cfl, progress, refresh=refresh)
 
 
 def solve(problem: Problem, tolerance: float, grid: Grid | None = None, progress: Progress | None = None) -> Run:
@@ -86,7 +86,7 @@ def solve(problem: Problem, tolerance: float, grid: Grid | None = None, progress
     """
     if not FINEST <= tolerance <= 1.0:
         raise InputError(f"tolerance = {tolerance:g} must lie between {FINEST:g} and 1")
-    problem.check(grid := grid or problem.profile.grid())
+    problem.check(grid := grid or problem.profile.grid(), "auto")
     try:
         run = solve_characteristics(problem, grid, min(max(0.1 * tolerance, FINEST), COARSEST), progress)
         if run.done and run.error_estimate is not None and run.error_estimate <= tolerance:
@@ -118,15 +118,9 @@ def check_method(case: Case) -> None:
         most = COARSEST if case.method == "characteristics" else 1.0
         if case.tolerance is not None and not FINEST <= case.tolerance <= most:
             raise InputError(f"tolerance = {case.tolerance:g} must lie between {FINEST:g} and {most:g}")
-        if case.method in OFF_GRID:
-            case.problem.check_invariant(case.method)
-            if case.refresh is not None:
-                raise InputError(
-                    f"refresh applies to methods on a grid; {case.method} follows the invariant I, which a factor that "
-                    "is kept does not have"
-                )
         if case.tolerance is None and case.method == "auto":
             raise InputError("method = 'auto' needs a tolerance")
+        case.problem.check_method(case.method, case.refresh)
     except InputError as error:
         raise InputError(f"{case.source}: [solver] {error}") from None
 
@@ -140,10 +134,8 @@ def solve_case(case: Case, progress: Progress | None = None, strict: bool = Fals
     check_method(case)
     problem, grid, method = case.problem, case.grid, case.method
     if method in HJ_METHODS or method in CONSERVATIVE_METHODS:
-        problem.check(grid)
-        form = hj if method in HJ_METHODS else conservation
-        scheme = form.scheme(problem, grid, method, case.refresh)
-        return _solve(scheme, problem, grid, method, case.cfl, progress, strict, keeper)
+        problem.check(grid, method, case.refresh)
+        return _solve(problem, grid, method, case.cfl, progress, strict, keeper, case.refresh)
     if method == "auto":
         assert case.tolerance is not None
         run = solve(problem, case.tolerance, grid, progress)
@@ -163,14 +155,18 @@ def _known(method: str, methods: tuple[str, ...]) -> None:
         raise InputError(f"method = {method!r} is not known{hint} (allowed: {', '.join(methods)})")
 
 
+@also_on_the_whole_line
 def _solve(
-    scheme: Scheme, problem: Problem, grid: Grid, method: str, cfl: float, progress: Progress | None,
-    strict: bool = False, keeper: Keeper | None = None,
+    problem: Problem, grid: Grid, method: str, cfl: float, progress: Progress | None,
+    strict: bool = False, keeper: Keeper | None = None, refresh: float | None = None,
 ) -> Run:  # fmt: skip
+    """Runs a method on a grid, watched."""
     if not cfl > 0:
         raise InputError(f"cfl = {cfl} must be a positive number")
+    scheme: Scheme = (hj if method in HJ_METHODS else conservation).scheme(problem, grid, method, refresh)
+    promises = WITH_LAYER if problem.thickness else PROMISES[method]
     bounds = BoundsMonitor(
-        problem.law, grid, scheme.W, problem.profile.inflow, problem.end, PROMISES[method],
+        problem.law, grid, scheme.W, problem.profile.inflow, problem.end, promises,
         hj.FLUXES.get(method.removeprefix("conservative-")), strict, problem.coefficient, scheme.factor.refresh,
     )  # fmt: skip
     tracker = KinkTracker(problem.law, grid)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from hjprofile.problem.profiles import Units
+from hjprofile.problem.units import Units
 
 Array = np.ndarray
 

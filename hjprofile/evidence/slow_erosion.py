@@ -1,0 +1,43 @@
+"""How the model with a rolling layer tends to slow erosion as the layer gets thin (theory, §8)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from hjprofile.errors import RunError
+from hjprofile.problem import LAYER_METHOD, Problem
+from hjprofile.problem.grid import Grid
+from hjprofile.solvers.methods import solve_conservative
+
+
+class Departure(NamedTuple):
+    """How far a slope below a layer of that thickness is from the limit, on the same grid.
+
+    slope_l1, height_sup: ∫|q - q of the limit| dx and sup|u - u of the limit|, at the end.
+    steps: time steps; those of the limit where the thickness is 0.
+    """
+
+    thickness: float
+    slope_l1: float
+    height_sup: float
+    steps: int
+
+
+def slow_erosion(problem: Problem, grid: Grid, thicknesses: Sequence[float], cfl: float = 0.9) -> list[Departure]:
+    """Solves [eq2] for each thickness, and [eq1], all with the same flux on the same grid.
+
+    The limit itself comes first, with the thickness 0. Raises RunError if a run stops early.
+    """
+    departures, limit = [], None
+    for thickness in (0.0, *thicknesses):
+        run = solve_conservative(replace(problem, thickness=thickness), grid, LAYER_METHOD, cfl)
+        if not run.done:
+            raise RunError(f"thickness = {thickness:g}: {run.status}")
+        limit = limit or run
+        slope = grid.dx * float(np.abs(run.q[-1] - limit.q[-1]).sum())
+        departures.append(Departure(thickness, slope, float(np.abs(run.u[-1] - limit.u[-1]).max()), run.steps))
+    return departures

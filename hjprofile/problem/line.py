@@ -1,0 +1,48 @@
+"""The whole line: what must lie right of a window, and profiles moved along the line (theory, §13)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hjprofile.errors import InputError
+from hjprofile.problem.erosion import ErosionLaw
+from hjprofile.problem.profiles import TAIL, Bumps, Given, Kinks, Points, Profile
+
+
+def moved(profile: Profile, distance: float) -> Profile:
+    """The profile `distance` further to the right. Raises InputError for one that belongs to the half line."""
+    match profile:
+        case Kinks():
+            return replace(profile, positions=profile.positions + distance)
+        case Bumps():
+            return replace(profile, centres=profile.centres + distance)
+        case Points():
+            return replace(profile, x=profile.x + distance)
+        case Given():
+            return replace(profile, u=lambda x: profile.u(x - distance) + distance)
+    raise InputError(f"kind = {profile.table['kind']!r} belongs to the half line; line = 'whole' cannot take it")
+
+
+def tail(profile: Profile, right: float, law: ErosionLaw) -> float:
+    """q at the right end of a window, from which on I = W + R(q) is constant (theory, §4); q decays from there on.
+
+    Raises InputError where it is not constant: then K at the window's end would depend on what lies beyond.
+    """
+    if isinstance(profile, Kinks):
+        return float(law.decay(profile.amplitudes[-1], right - profile.positions[-1]))
+    if isinstance(profile, Bumps):
+        high = replace(profile, amplitudes=np.abs(profile.amplitudes))
+        beyond = float(max(np.diff(high.W(np.array([right, np.inf]), law))[0], high.excess(np.array(right))))
+    elif isinstance(profile, Given):
+        near = right + 1e-6 * np.array([-1.0, 0.0])
+        beyond = float(np.abs(np.diff(profile.W(near, law))[0])) / 1e-6
+    else:
+        beyond = 0.0  # `check` has seen to it
+    if beyond > TAIL:
+        raise InputError(
+            f"the slope is not critical from right = {right:g} on (q or its mass is {beyond:.3g} there); "
+            "set right to more"
+        )
+    return 0.0

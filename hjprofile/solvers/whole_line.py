@@ -1,0 +1,180 @@
+"""The whole line by the half line: a window x <= right of it, in a time of its own (theory, §13).
+
+Right of the window I = W + R(q) is constant. There K/R(q) is too, hence K(t, right) = R(q)/R(0), and q at x = right is
+that of a tail which moves with the speed 1/R(0). So K at the window's end is known before the run, and in the time τ
+with dτ = K(t, right) dt the solution in the window is that of the half line that ends there.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import wraps
+from typing import Any, ParamSpec
+
+import numpy as np
+
+from hjprofile.errors import InputError, RunError
+from hjprofile.problem import Problem
+from hjprofile.problem.case import resolved_case
+from hjprofile.problem.grid import Grid
+from hjprofile.problem.line import moved, tail
+from hjprofile.problem.profiles import TAIL
+from hjprofile.solvers.run import Array, Run
+
+P = ParamSpec("P")
+TOLERANCE = 1e-13  # of the change of time, relative
+SMEAR = 10.0  # cells: a grid's W at the window's end may be off by their width times the largest slope of the tail
+COORDINATE = re.compile(r"\b([tx]) = (-?\d[\d.]*(?:e[-+]?\d+)?)")
+
+
+class Window:
+    """A problem on the whole line and its grid; `problem` and `half_grid` are the same on the half line.
+
+    Attributes:
+        last: when the tail would be as steep as the kink that it belongs to can be: no later, it leaves the window.
+    """
+
+    def __init__(self, problem: Problem, grid: Grid):
+        problem.check_line(grid)
+        problem.check_profile(grid)
+        self.whole, self.grid, self.law, profile = problem, grid, problem.law, problem.profile
+        self.R0 = float(self.law.R(0.0))
+        self.q = tail(profile, grid.right, self.law)
+        W = profile.W(np.array([grid.left, grid.right]), self.law)
+        self.I = float(W[1] + self.law.R(self.q))
+        self.last, self._solution = self._follow_tail(self.I - float(W[0]))
+        kept = problem.times[problem.times <= self.last]
+        if not kept.size:
+            raise RunError(f"before the first saved time, t = {problem.times[0]:.6g}, {self._advice}")
+        inner = self.time(np.append(kept, self.last))
+        self.kept = dict(zip(inner.tolist(), kept.tolist(), strict=False))
+        self.problem = replace(
+            problem, line="half", profile=moved(profile, -grid.right), end=float(inner[-1]), snapshots=list(self.kept)
+        )
+        self.half_grid = replace(grid, left=grid.left - grid.right, right=0.0)
+
+    def _follow_tail(self, most: float):
+        """How long the tail's R stays below `most`, and over that time ln q of the tail and τ."""
+        end = self.whole.end
+        if not self.q or not end:
+            return end, None
+        from scipy.integrate import solve_ivp
+
+        def rates(t: float, state: Array) -> list[float]:
+            q = np.exp(state[0])
+            return [1.0 / (self.R0 * float(self.law.R_derivative(q))), float(self.law.R(q)) / self.R0]
+
+        def steepest(t: float, state: Array) -> float:
+            return most - float(self.law.R(np.exp(state[0])))
+
+        steepest.terminal = True  # type: ignore[attr-defined]
+        tail = solve_ivp(
+            rates, (0.0, end), [np.log(self.q), 0.0], method="DOP853", rtol=TOLERANCE, atol=TOLERANCE,
+            events=steepest, dense_output=True, max_step=0.1,
+        )  # fmt: skip
+        return float(tail.t[-1]), tail.sol
+
+    def slope(self, t: Array) -> Array:
+        """q of the tail at the window's end."""
+        return np.exp(self._solution(t)[0]) if self._solution else np.full_like(t, self.q)
+
+    def time(self, t: Array) -> Array:
+        """τ, the time of the half line; 0 at 0, increasing."""
+        return np.where(t > 0.0, self._solution(t)[1], 0.0) if self._solution else t.copy()
+
+    def back(self, tau: float) -> float:
+        """t at τ."""
+        if tau in self.kept or not self._solution:
+            return self.kept.get(tau, tau)
+        if not tau < self.problem.end:
+            return self.last
+        from scipy.optimize import brentq
+
+        return brentq(lambda t: float(self.time(np.array(t))) - tau, 0.0, self.last, xtol=1e-15) if tau > 0.0 else 0.0
+
+    def thickness(self, t: Array) -> Array:
+        """K(t, right) = dτ/dt."""
+        return self.law.R(self.slope(t)) / self.R0
+
+    @property
+    def _advice(self) -> str:
+        return f"something left the window at x = {self.grid.right:g}; set right to more"
+
+    def sentence(self, text: str) -> str:
+        """With the times and places of the half line made those of the whole line."""
+
+        def there(match: re.Match) -> str:
+            name, value = match[1], float(match[2])
+            return f"{name} = {self.back(value) if name == 't' else value + self.grid.right:.6g}"
+
+        return COORDINATE.sub(there, text)
+
+    def run_on_line(self, run: Run) -> Run:
+        """The run of `problem` on `half_grid` as one of the whole line, up to when something leaves the window."""
+        time = np.array([self.back(t) for t in run.time.tolist()])
+        right, K = self.grid.right, self.thickness(time)
+        exits = [self.back(e.time) for e in run.events if e.event == "exit"]
+        W, expected = run.u[:, -1] - run.x[-1], self.I - self.law.R(self.slope(time))
+        wrong = TAIL * (1.0 + np.abs(self.I))
+        if run.method not in ("fronts", "characteristics"):
+            wrong += SMEAR * self.grid.dx * self.slope(time)
+        left = np.append(time[np.abs(W - expected) > wrong], exits)
+        good = time < left.min() if left.size else time == time
+        status, until = self.sentence(run.status), np.inf
+        gone = not good.all() or exits or (run.done and self.last < self.whole.end)
+        if gone:
+            status = f"stopped at t = {min([*exits, *time[~good], self.last]):.6g}: {self._advice}"
+        if not good.any():
+            raise RunError(status)
+        pace = dict(zip(run.time.tolist(), K.tolist(), strict=True))
+        case = resolved_case(self.whole, self.grid, run.method)
+        if gone:  # what the run summed up on its way goes on beyond what is kept
+            until = float(time[good][-1])
+            lowered = run.u[good][0] - run.u[good][-1]
+            volume = self.grid.dx * float(np.sum(lowered) - 0.5 * (lowered[0] + lowered[-1]))
+            run = replace(run, eroded_volume=volume, outflow=np.nan)
+        return replace(
+            run,
+            case={**run.case, **{name: case[name] for name in ("profile", "domain", "time")}},
+            time=time[good],
+            x=self.grid.nodes,
+            x_cell=self.grid.centres,
+            u=run.u[good] + right,
+            q=run.q[good],
+            K=run.K[good] * K[good, None],
+            status=status,
+            kinks=[
+                k._replace(
+                    time=self.back(k.time), x=k.x + right, speed=k.speed * pace[k.time],
+                    rankine_hugoniot_speed=k.rankine_hugoniot_speed * pace[k.time],
+                )
+                for k in run.kinks if self.back(k.time) <= until
+            ],
+            events=[
+                e._replace(time=self.back(e.time), x=e.x + right)
+                for e in run.events if self.back(e.time) <= until
+            ],
+            bounds={name: b._replace(time=self.back(b.time), x=b.x + right) for name, b in run.bounds.items()},
+        )  # fmt: skip
+
+
+def also_on_the_whole_line(solver: Callable[P, Run]) -> Callable[P, Run]:
+    """A solver for the half line, of a problem and a grid, that solves on windows of the whole line as well."""
+
+    run_half: Callable[..., Run] = solver
+
+    def solve(problem: Problem, grid: Grid | None = None, *args: Any, **kwargs: Any) -> Run:
+        if problem.line == "half":
+            return run_half(problem, grid, *args, **kwargs)
+        if grid is None:
+            raise InputError("line = 'whole' needs a grid that says where the window ends")
+        window = Window(problem, grid)
+        try:
+            run = run_half(window.problem, window.half_grid, *args, **kwargs)
+        except RunError as error:
+            raise RunError(window.sentence(str(error))) from None
+        return window.run_on_line(run)
+
+    return wraps(solver)(solve)  # type: ignore[return-value]
