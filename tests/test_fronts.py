@@ -111,7 +111,8 @@ def test_agrees_with_extrapolated_godunov():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [n for n in shipped_cases() if n != "two_kinks"])  # at its end that slope is flat
+# at its end the slope of two_kinks is flat; fronts know no prescribed coefficient
+@pytest.mark.parametrize("name", [n for n in shipped_cases() if n not in ("two_kinks", "drying_channel")])
 def test_the_grid_solvers_converge_to_fronts(name):
     """14 grids of 500 to 4000 cells against 6400 fronts; table in theory §5.
 
