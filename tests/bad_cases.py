@@ -32,9 +32,14 @@ PROFILES = {
     "survey": {"file": "survey.csv", "critical_slope": 0.5, "length": 2.0, "repair": "isotonic"},
     "python": {"file": "user.py", "function": "u"},
 }
+COEFFICIENTS = {
+    "expression": {"expression": "exp(-0.2*x)/(1 + t)"},
+    "python": {"file": "user.py", "function": "k"},
+}
 FILES = {  # what the tables above name
     "user.py": "import math\n\n\ndef f(q):\n    return math.log(1 + q)\n\n\n"
-    "def u(x):\n    return x + 0.5 * math.erfc(-2 * (x + 3))\n",
+    "def u(x):\n    return x + 0.5 * math.erfc(-2 * (x + 3))\n\n\n"
+    "def k(t, x):\n    return 1 + t - x\n",
     "survey.csv": "x,height\n0,0\n1,0.25\n2,0.2\n4,3\n",
 }
 
@@ -85,6 +90,7 @@ KEYS = [  # (section, its table, key, what it must be, whether it may be left ou
     ("time", VALID["time"], "end", NUMBER, False),
     ("solver", VALID["solver"], "method", TEXT, True),
     ("solver", VALID["solver"], "cfl", POSITIVE, True),
+    ("solver", VALID["solver"], "refresh", POSITIVE, True),
     ("solver", {"method": "auto"}, "tolerance", POSITIVE, True),
     ("output", VALID["output"], "vtk", SWITCH, True),
     ("output", VALID["output"], "plots", SWITCH, True),
@@ -92,6 +98,11 @@ KEYS = [  # (section, its table, key, what it must be, whether it may be left ou
     ("erosion", {"law": "expression"} | LAWS["expression"], "expression", TEXT, False),
     ("erosion", {"law": "python"} | LAWS["python"], "file", TEXT, False),
     ("erosion", {"law": "python"} | LAWS["python"], "function", TEXT, False),
+    ("coefficient", {"kind": "expression"} | COEFFICIENTS["expression"], "kind", TEXT, False),
+    ("coefficient", {"kind": "expression"} | COEFFICIENTS["expression"], "expression", TEXT, False),
+    ("coefficient", {"kind": "python"} | COEFFICIENTS["python"], "file", TEXT, False),
+    ("coefficient", {"kind": "python"} | COEFFICIENTS["python"], "function", TEXT, False),
+    ("coefficient", {"kind": "run", "result": "nowhere"}, "result", TEXT, False),
 ]
 for _kind, _table in PROFILES.items():
     for _key, _value in _table.items():
@@ -229,6 +240,26 @@ BAD |= {
         ["expression = ", "__import__", "allowed are numbers, q, + - * / **"],
     ),
     "huge power": ({"erosion": {"law": "expression", "expression": "9**9**9**9*q"}}, "erosion", ["f = nan"]),
+    "coefficient that is negative": (
+        {"coefficient": {"kind": "expression", "expression": "1 + x"}},
+        "coefficient",
+        ["the coefficient k = -", "at t = 0", "is not a positive number"],
+    ),
+    "coefficient of q": (
+        {"coefficient": {"kind": "expression", "expression": "1 + q"}},
+        "coefficient",
+        ["expression = '1 + q' contains 'q'; allowed are numbers, t, x, + - * / **"],
+    ),
+    "coefficient of no run": (
+        {"coefficient": {"kind": "run", "result": "nowhere"}},
+        "coefficient",
+        ["result = 'nowhere' is not a result folder"],
+    ),
+    "coefficient without function": (
+        {"coefficient": {"kind": "python", "file": "user.py", "function": "g"}},
+        "coefficient",
+        ["function = 'g' is not defined in user.py"],
+    ),
     "law without file": (
         {"erosion": {"law": "python", "file": "absent.py", "function": "f"}},
         "erosion",

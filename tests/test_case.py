@@ -7,7 +7,7 @@ import tomllib
 import numpy as np
 import pytest
 import tomli_w
-from bad_cases import BAD, LAWS, NOT_TOML, PROFILES, REMOVED, VALID, changed, with_files
+from bad_cases import BAD, COEFFICIENTS, LAWS, NOT_TOML, PROFILES, REMOVED, VALID, changed, with_files
 
 from hjprofile.errors import InputError
 from hjprofile.problem.case import find_case, load_case, parse_case, resolved_case, shipped_cases
@@ -142,6 +142,10 @@ def same(one, other, grid):
     assert one.profile.units == other.profile.units
     assert one.profile.account == other.profile.account
     assert one.profile.inflow == other.profile.inflow
+    assert (one.coefficient is None) == (other.coefficient is None)
+    if one.coefficient is not None:
+        t = np.linspace(0.0, one.end, 5)[:, None]
+        assert np.array_equal(one.coefficient.values(t, grid.nodes), other.coefficient.values(t, grid.nodes))
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -165,6 +169,8 @@ def test_a_resolved_case_is_the_case_again(folder, law, kind):
         {"time.end": 0.1 + 0.2, "domain.left": -20 / 3, "solver.cfl": 2 / 3},
         {"title": 'quote " and \\ and\nnewline → ü'},
         {"profile": {"kind": "steady", "flux": 0.1 + 0.2}},
+        {"solver.refresh": 0.1 + 0.2},
+        *({"coefficient": {"kind": kind} | table} for kind, table in COEFFICIENTS.items()),
         {
             "profile": {
                 "kind": "survey",
@@ -178,7 +184,7 @@ def test_a_resolved_case_is_the_case_again(folder, law, kind):
 )
 def test_resolved_values_are_exact(folder, changes):
     case = load_case(write(folder, changed(changes)))
-    text = tomli_w.dumps(resolved_case(case.problem, case.grid, case.method, case.cfl))
+    text = tomli_w.dumps(resolved_case(case.problem, case.grid, case.method, case.cfl, None, case.refresh))
     again = parse_case(tomllib.loads(text), case.name, "resolved", folder)
-    assert (again.grid, again.cfl) == (case.grid, case.cfl)
+    assert (again.grid, again.cfl, again.refresh) == (case.grid, case.cfl, case.refresh)
     same(again.problem, case.problem, case.grid)

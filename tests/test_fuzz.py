@@ -79,10 +79,12 @@ def loads_or_is_refused(path):
         assert np.all(np.isfinite(q) & (q > -1.0))
         times = case.problem.times
         assert np.all(np.diff(times) > 0) and 0 <= times[0] <= times[-1] <= case.problem.end
-        text = tomli_w.dumps(resolved_case(case.problem, case.grid, case.method, case.cfl, case.tolerance))
+        text = tomli_w.dumps(
+            resolved_case(case.problem, case.grid, case.method, case.cfl, case.tolerance, case.refresh)
+        )
         again = parse_case(tomllib.loads(text), case.name, "resolved", path.parent)
-        assert (again.grid, again.method, again.cfl, again.tolerance) == (
-            case.grid, case.method, case.cfl, case.tolerance
+        assert (again.grid, again.method, again.cfl, again.tolerance, again.refresh) == (
+            case.grid, case.method, case.cfl, case.tolerance, case.refresh
         )  # fmt: skip
         same(again.problem, case.problem, case.grid)
     return True

@@ -95,11 +95,16 @@ class Factor:
         return law, speed
 
 
-def factor_of(problem: Problem, grid: Grid, refresh: float | None = None) -> Factor:
-    """The factor of a problem. Raises InputError if `refresh` is not a length of time that makes sense."""
+def check_refresh(problem: Problem, refresh: float | None) -> None:
+    """Raises InputError if `refresh` is not a length of time that makes sense."""
     if refresh is not None and not (0.0 < refresh < np.inf and problem.end / refresh <= MOST_REFRESHES):
         raise InputError(
             f"refresh = {refresh:g} must be a positive number, and at least end / {MOST_REFRESHES:,} = "
             f"{problem.end / MOST_REFRESHES:g}; leave it out to take the factor anew in every step"
         )
+
+
+def factor_of(problem: Problem, grid: Grid, refresh: float | None = None) -> Factor:
+    """The factor of a problem, kept for `refresh` at a time. Raises InputError where that makes no sense."""
+    check_refresh(problem, refresh)
     return Factor(grid, problem.coefficient, refresh)
