@@ -136,7 +136,7 @@ def test_the_grid_solvers_converge_to_fronts(name):
     ):
         u, q = [], []
         for n in cells:
-            grid = hj.Grid(case.grid.left, n)
+            grid = replace(case.grid, cells=n)
             off = solve(problem, grid, method).u[-1] - hj.track_fronts(problem, grid, 6400).u[-1]
             u.append(np.abs(off).mean())
             q.append(np.abs(np.diff(off)).sum())

@@ -175,8 +175,9 @@ def test_what_has_no_place_on_the_line():
                 solve(problem, GRID)
     with pytest.raises(hj.InputError, match=r"right = 4 needs line = 'whole'"):
         hj.solve_hj(hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0), GRID)
-    with pytest.raises(hj.InputError, match="line = 'whole' needs a grid"):
-        hj.track_fronts(wave(hj.rational()))
+    for solve in (hj.track_fronts, hj.solve_characteristics, lambda p: hj.solve(p, 1e-6)):
+        with pytest.raises(hj.InputError, match="line = 'whole' needs a grid"):
+            solve(wave(hj.rational()))
     with pytest.raises(hj.InputError, match="allowed are 'half', 'whole'"):
         hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0, line="line")
     with pytest.raises(hj.InputError, match="needs line = 'half'"):

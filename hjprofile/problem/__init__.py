@@ -95,6 +95,12 @@ class Problem:
             return np.zeros(1)
         return np.linspace(0.0, self.end, self.snapshots) if self.snapshots > 1 else np.array([float(self.end)])
 
+    def grid(self) -> Grid:
+        """A grid over the profile, for methods whose accuracy does not depend on it. Raises InputError if unknown."""
+        if self.line == "whole":
+            raise InputError("line = 'whole' needs a grid that says where the window ends")
+        return self.profile.grid()
+
     def check_method(self, method: str, refresh: float | None = None) -> None:
         """Raises InputError if the method cannot solve this problem on any grid, with a factor that is kept so long."""
         if self.thickness and method != LAYER_METHOD:

@@ -340,7 +340,7 @@ def solve_characteristics(
     profile = problem.profile
     if profile.inflow:
         raise InputError("characteristics need q = 0 at the left end; this profile has a flux that enters there")
-    grid = grid or profile.grid()
+    grid = grid or problem.grid()
     problem.check(grid, "characteristics")
     height = float(profile.W(grid.nodes[:1], problem.law)[0])
     try:

@@ -253,7 +253,7 @@ def track_fronts(
     profile = problem.profile
     if profile.inflow:
         raise InputError("front tracking needs q = 0 at the left end; this profile has a flux that enters there")
-    grid = grid or profile.grid()
+    grid = grid or problem.grid()
     problem.check(grid, "fronts")
     data, table = cut_into_fronts(problem, grid.left, fronts)
     tracker = _Tracker(data, table, exact=data.kinks_only if exact is None else exact)

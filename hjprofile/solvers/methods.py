@@ -87,7 +87,7 @@ def solve(problem: Problem, tolerance: float, grid: Grid | None = None, progress
     """
     if not FINEST <= tolerance <= 1.0:
         raise InputError(f"tolerance = {tolerance:g} must lie between {FINEST:g} and 1")
-    problem.check(grid := grid or problem.profile.grid(), "auto")
+    problem.check(grid := grid or problem.grid(), "auto")
     try:
         run = solve_characteristics(problem, grid, min(max(0.1 * tolerance, FINEST), COARSEST), progress)
         if run.done and run.error_estimate is not None and run.error_estimate <= tolerance:

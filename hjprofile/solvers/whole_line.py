@@ -15,7 +15,7 @@ from typing import Any, ParamSpec
 
 import numpy as np
 
-from hjprofile.errors import InputError, RunError
+from hjprofile.errors import RunError
 from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid
@@ -168,9 +168,7 @@ def also_on_the_whole_line(solver: Callable[P, Run]) -> Callable[P, Run]:
     def solve(problem: Problem, grid: Grid | None = None, *args: Any, **kwargs: Any) -> Run:
         if problem.line == "half":
             return run_half(problem, grid, *args, **kwargs)
-        if grid is None:
-            raise InputError("line = 'whole' needs a grid that says where the window ends")
-        window = Window(problem, grid)
+        window = Window(problem, grid or problem.grid())
         try:
             run = run_half(window.problem, window.half_grid, *args, **kwargs)
         except RunError as error:
