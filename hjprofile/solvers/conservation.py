@@ -33,8 +33,10 @@ def _heights(q: Array, dx: float, W_left: float) -> Array:
 FirstOrderFlux = Callable[[GridLaw, float, Array, Array, Array, float], tuple[Array, Array]]
 
 
-def _growth(z: Array) -> Array:
+def _growth(law: GridLaw, z: Array) -> Array:
     """K_{i-1}/K_i for z = f Δx, as in the sweeps of the Hamilton-Jacobi solver."""
+    if law.law.grows_linearly:
+        return np.exp(z)
     z = np.maximum(z, -1.0)
     return 1.0 + z + 0.5 * z**2
 
@@ -42,7 +44,7 @@ def _growth(z: Array) -> Array:
 def _local_lax_friedrichs(law: GridLaw, dx: float, ql: Array, qr: Array, K: Array, bound: float):
     left, right = law.derivative(ql), law.derivative(qr)
     viscosity = K * np.maximum(left, right)
-    thickest = np.maximum(np.maximum(K, K * _growth(law.f(ql) * dx)), np.append(K[1:], 1.0))  # of neighbouring nodes
+    thickest = np.maximum(np.maximum(K, K * _growth(law, law.f(ql) * dx)), np.append(K[1:], 1.0))  # of neighbouring nodes
     speed = thickest * (np.maximum(left, right) + np.maximum(right - left, 0.0) / 2)
     return K * law.f((ql + qr) / 2) - viscosity / 2 * (qr - ql), speed
 
@@ -57,7 +59,8 @@ def _godunov(law: GridLaw, dx: float, ql: Array, qr: Array, K: Array, bound: flo
 
 def _telescoping(law: GridLaw, dx: float, ql: Array, qr: Array, K: Array, bound: float):
     z = law.f(ql) * dx
-    return (K * _growth(z) - K) / dx, K * law.derivative(ql) * (1 + np.maximum(z, 0.0))
+    steepest = np.exp(np.maximum(z, 0.0)) if law.law.grows_linearly else 1 + np.maximum(z, 0.0)
+    return (K * _growth(law, z) - K) / dx, K * law.derivative(ql) * steepest
 
 
 FLUXES: Mapping[str, FirstOrderFlux] = MappingProxyType(
@@ -107,7 +110,7 @@ class FirstOrder:
         for _ in range(steps):
             if not np.min(self.q) > -1.0:
                 return np.inf
-            K = np.append(np.cumprod(_growth(self.law.f(self.q) * dx)[::-1])[::-1], 1.0)
+            K = np.append(np.cumprod(_growth(self.law, self.law.f(self.q) * dx)[::-1])[::-1], 1.0)
             neighbour = np.append(self.q[1:], self.q[-1])  # outflow at x = 0
             F, speed = self.flux(self.law, dx, self.q, neighbour, K[1:], bound)
             fastest = max(fastest, float(np.max(speed)))

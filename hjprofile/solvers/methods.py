@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from hjprofile.errors import InputError, RunError
-from hjprofile.monitors.bounds import HIGHER_ORDER, LOCAL, MONOTONE, TELESCOPING, BoundsMonitor, Promises
+from hjprofile.monitors.bounds import HIGHER_ORDER, LOCAL, MONOTONE, STEEP, TELESCOPING, BoundsMonitor, Promises
 from hjprofile.monitors.kinks import KinkTracker
 from hjprofile.problem import Problem
 from hjprofile.problem.case import DEFAULT_CFL, DEFAULT_METHOD, Case, resolved_case
@@ -38,6 +38,8 @@ PROMISES: Mapping[str, Promises] = MappingProxyType(
         **{f"{form}local-lax-friedrichs": LOCAL for form in ("", "conservative-")},
     }
 )
+# What carries the jumps of u under a law of linear growth with the right speed (theory, §14)
+CARRY_STEPS = ("telescoping", "conservative-telescoping", "fronts")
 METHODS = (*HJ_METHODS, *CONSERVATIVE_METHODS, "fronts", "characteristics", "auto")
 
 
@@ -54,6 +56,7 @@ def solve_hj(
     input; a run that breaks down returns what was good, with the reason in `status`.
     """
     _known(method, HJ_METHODS)
+    check_growth(problem, method)
     problem.check(grid)
     return _solve(hj.scheme(problem, grid, method), problem, grid, method, cfl, progress)
 
@@ -71,6 +74,7 @@ def solve_conservative(
     the two forms agree to rounding. Otherwise as `solve_hj`.
     """
     _known(method, CONSERVATIVE_METHODS)
+    check_growth(problem, method)
     problem.check(grid)
     return _solve(conservation.scheme(problem, grid, method), problem, grid, method, cfl, progress)
 
@@ -82,6 +86,7 @@ def solve(problem: Problem, tolerance: float, grid: Grid | None = None, progress
     """
     if not FINEST <= tolerance <= 1.0:
         raise InputError(f"tolerance = {tolerance:g} must lie between {FINEST:g} and 1")
+    check_growth(problem, "auto")
     problem.check(grid := grid or problem.profile.grid())
     try:
         run = solve_characteristics(problem, grid, min(max(0.1 * tolerance, FINEST), COARSEST), progress)
@@ -105,10 +110,20 @@ def solve(problem: Problem, tolerance: float, grid: Grid | None = None, progress
     return replace(run, error_estimate=estimate, account="; ".join(filter(None, (run.account, account))))
 
 
+def check_growth(problem: Problem, method: str) -> None:
+    """Raises InputError if the law grows linearly and the method cannot carry the jumps of u that come of it."""
+    if problem.law.grows_linearly and method not in CARRY_STEPS:
+        raise InputError(
+            f"method = {method!r} cannot carry the vertical steps of a law with growth = 'linear'; "
+            f"those that can are {', '.join(CARRY_STEPS)}"
+        )
+
+
 def check_method(case: Case) -> None:
     """Raises InputError if the case asks for a method that does not exist, or for one without what it needs."""
     try:
         _known(case.method, METHODS)
+        check_growth(case.problem, case.method)
         if case.tolerance is not None and case.method not in ("characteristics", "auto"):
             raise InputError(f"tolerance applies to the methods characteristics and auto, not to {case.method}")
         most = COARSEST if case.method == "characteristics" else 1.0
@@ -158,7 +173,8 @@ def _solve(
     if not cfl > 0:
         raise InputError(f"cfl = {cfl} must be a positive number")
     bounds = BoundsMonitor(
-        problem.law, grid, scheme.W, problem.profile.inflow, problem.end, PROMISES[method],
+        problem.law, grid, scheme.W, problem.profile.inflow, problem.end,
+        STEEP if problem.law.grows_linearly else PROMISES[method],
         hj.FLUXES.get(method.removeprefix("conservative-")), strict,
     )  # fmt: skip
     tracker = KinkTracker(problem.law, grid)
