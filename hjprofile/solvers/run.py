@@ -84,8 +84,18 @@ class KinkRecord(NamedTuple):
     rankine_hugoniot_speed: float
 
 
+class VerticalStep(NamedTuple):
+    """A jump of u by `height` at one snapshot, under a law of linear growth (theory, §14)."""
+
+    time: float
+    step: int
+    x: float
+    height: float
+    speed: float
+
+
 class Event(NamedTuple):
-    """`birth`, `merge` (of `kink` into `into`) or `exit` of a kink."""
+    """`birth`, `merge` (of `kink` into `into`), `exit` or `blow-up` (it becomes a vertical step) of a kink."""
 
     time: float
     event: str
@@ -131,6 +141,8 @@ class Run:
         steps, step_range: number of time steps, least and largest.
         wall_seconds: of the time stepping alone; compilation, monitoring and output apart.
         kinks, events: the kinks at the saved times; births, merges and exits.
+        vertical_steps: the jumps of u at the saved times, numbered as the kinks that they come from; None where the
+            law has none.
         bounds: name -> Verdict for each a-priori fact and budget that was watched.
         eroded_volume: ∫(u(0,x) - u(t,x)) dx at the end.
         outflow: ∫F(x = 0) dt at the end: excess slope that has left at the top.
@@ -155,6 +167,7 @@ class Run:
     wall_seconds: float = 0.0
     kinks: Sequence[KinkRecord] = ()
     events: Sequence[Event] = ()
+    vertical_steps: Sequence[VerticalStep] | None = None
     bounds: Mapping[str, Verdict] = field(default_factory=dict)
     eroded_volume: float = np.nan
     outflow: float = np.nan
