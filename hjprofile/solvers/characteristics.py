@@ -37,6 +37,7 @@ from hjprofile.solvers.label_events import (
 )
 from hjprofile.solvers.panels import POINTS, RULE, TAIL, Panels, cut_into_panels, interpolation, tails
 from hjprofile.solvers.run import Array, Event, KinkRecord, Run
+from hjprofile.solvers.vertical_steps import check_growth
 
 TOLERANCE = 1e-12
 FINEST, COARSEST = 1e-13, 1e-4  # that may be asked for: finer is rounding
@@ -335,6 +336,7 @@ def solve_characteristics(
     """
     if not FINEST <= tolerance <= COARSEST:
         raise InputError(f"tolerance = {tolerance:g} must lie between {FINEST:g} and {COARSEST:g}")
+    check_growth(problem, "characteristics")
     profile = problem.profile
     if profile.inflow:
         raise InputError("characteristics need q = 0 at the left end; this profile has a flux that enters there")

@@ -13,6 +13,7 @@ import numpy as np
 from hjprofile.errors import InputError, RunError
 from hjprofile.monitors.bounds import HIGHER_ORDER, LOCAL, MONOTONE, STEEP, TELESCOPING, BoundsMonitor, Promises
 from hjprofile.monitors.kinks import KinkTracker
+from hjprofile.monitors.vertical_steps import StepMonitor
 from hjprofile.problem import Problem
 from hjprofile.problem.case import DEFAULT_CFL, DEFAULT_METHOD, Case, resolved_case
 from hjprofile.problem.grid import Grid
@@ -22,6 +23,7 @@ from hjprofile.solvers.fronts import track_fronts
 from hjprofile.solvers.high_order import ORDERS
 from hjprofile.solvers.march import Scheme, march
 from hjprofile.solvers.run import Keeper, Run
+from hjprofile.solvers.vertical_steps import check_growth, step_law
 
 Progress = Callable[[float], None]
 
@@ -38,8 +40,6 @@ PROMISES: Mapping[str, Promises] = MappingProxyType(
         **{f"{form}local-lax-friedrichs": LOCAL for form in ("", "conservative-")},
     }
 )
-# What carries the jumps of u under a law of linear growth with the right speed (theory, §14)
-CARRY_STEPS = ("telescoping", "conservative-telescoping", "fronts")
 METHODS = (*HJ_METHODS, *CONSERVATIVE_METHODS, "fronts", "characteristics", "auto")
 
 
@@ -110,15 +110,6 @@ def solve(problem: Problem, tolerance: float, grid: Grid | None = None, progress
     return replace(run, error_estimate=estimate, account="; ".join(filter(None, (run.account, account))))
 
 
-def check_growth(problem: Problem, method: str) -> None:
-    """Raises InputError if the law grows linearly and the method cannot carry the jumps of u that come of it."""
-    if problem.law.grows_linearly and method not in CARRY_STEPS:
-        raise InputError(
-            f"method = {method!r} cannot carry the vertical steps of a law with growth = 'linear'; "
-            f"those that can are {', '.join(CARRY_STEPS)}"
-        )
-
-
 def check_method(case: Case) -> None:
     """Raises InputError if the case asks for a method that does not exist, or for one without what it needs."""
     try:
@@ -177,15 +168,30 @@ def _solve(
         STEEP if problem.law.grows_linearly else PROMISES[method],
         hj.FLUXES.get(method.removeprefix("conservative-")), strict,
     )  # fmt: skip
-    tracker = KinkTracker(problem.law, grid)
+    steps = None
+    if problem.law.grows_linearly:
+        table = step_law(problem.law, 0.5 * (float(np.min(np.diff(scheme.W))) / grid.dx - 1.0))
+        steps = StepMonitor(table, grid, problem.times, problem.law.f)
+        tracker = KinkTracker(problem.law, grid, steps.hidden)
+    else:
+        tracker = KinkTracker(problem.law, grid)
     case = resolved_case(problem, grid, method, cfl)
     # two runs are the same if they have the same case, and what it names is the same
     data = hashlib.sha256(scheme.W.tobytes() + problem.law.f(np.linspace(-0.9, 9.0, 100)).tobytes()).hexdigest()
     record = march(
-        scheme, problem, grid, cfl, {"bounds": bounds, "kinks": tracker}, progress, tracker.happened,
+        scheme, problem, grid, cfl,
+        {"bounds": bounds, "kinks": tracker} | ({"steps": steps} if steps else {}), progress, tracker.happened,
         keeper, case | {"data": data, "strict": strict},
     )  # fmt: skip
     kinks, events = tracker.result(record.times)
+    vertical_steps = None
+    if steps:
+        vertical_steps, more = steps.result()
+        # on a grid nothing tells of which kink a step has come: steps are numbered after all kinks
+        above = max([k.kink for k in kinks] + [e.kink for e in events], default=0)
+        vertical_steps = [s._replace(step=s.step + above) for s in vertical_steps]
+        more = [e._replace(kink=e.kink + above, into=e.into and e.into + above) for e in more]
+        events = sorted(events + more, key=lambda e: (e.time, e.kink))
     u = record.W
     u += grid.nodes
     return Run(
@@ -204,6 +210,7 @@ def _solve(
         wall_seconds=record.wall_seconds,
         kinks=kinks,
         events=events,
+        vertical_steps=vertical_steps,
         bounds=bounds.bounds,
         eroded_volume=bounds.eroded_volume,
         outflow=bounds.outflow,

@@ -6,9 +6,13 @@ time; what is made of smooth data moves by classical Runge-Kutta steps, second o
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.polynomial import polynomial as P
 
+from hjprofile.errors import InputError
+from hjprofile.problem import Problem
 from hjprofile.problem.erosion import Array, ErosionLaw
 from hjprofile.solvers.kernels import steps as kernels
 from hjprofile.solvers.kernels.steps import StepLaw
@@ -21,7 +25,17 @@ TOLERANCE = 1e-12  # of the exact integration
 KINK = 4.0  # times the strength of an ordinary small front: a step of such a height is one, not a piece of a slope
 _Z = np.cos(np.pi * (np.arange(8) + 0.5) / 8)
 _FIT = np.linalg.inv(np.vander(_Z, 8, increasing=True)).T
+CARRY_STEPS = ("telescoping", "conservative-telescoping", "fronts")  # methods that move a step at its right speed
 BIRTH = -2.0  # a log's mark of a blow-up
+
+
+def check_growth(problem: Problem, method: str) -> None:
+    """Raises InputError if the law grows linearly and the method cannot carry the jumps of u that come of it."""
+    if problem.law.grows_linearly and method not in CARRY_STEPS:
+        raise InputError(
+            f"method = {method!r} cannot carry the vertical steps of a law with growth = 'linear'; "
+            f"those that can are {', '.join(CARRY_STEPS)}"
+        )
 
 
 def step_law(law: ErosionLaw, q_least: float = -0.5) -> StepLaw:
@@ -70,6 +84,13 @@ def step_law(law: ErosionLaw, q_least: float = -0.5) -> StepLaw:
     return StepLaw(
         *tables, r_at, age_at, start, 1.0 / PIECE, float(left[-1] + PIECE), r0, float(r_at[-1]), law.eta0, rate
     )
+
+
+def _wait(event: Callable, rates: Callable, t: float, state: Array, h: float = 1e-7) -> float:
+    """How long ago an event of this state was, by its rate of change."""
+    rate = rates(t, state)
+    now = event(t, state)
+    return float(h * now / (event(t, state + h * rate) - now)) if now else 0.0
 
 
 class StepTracker:
@@ -158,15 +179,19 @@ class StepTracker:
                 event.direction = -1.0  # type: ignore[attr-defined]
             start = np.concatenate([self.x[:n], self.y[:n], self.totals[:2]])
             if room(0.0, start) > 0.0:
-                part = solve_ivp(
-                    rates, (self.t, end), start, method="DOP853", rtol=TOLERANCE, atol=TOLERANCE,
-                    first_step=min(1e-7, end - self.t), events=[meet, leave, room],
-                )  # fmt: skip
+                how = {"method": "DOP853", "rtol": TOLERANCE, "atol": TOLERANCE}
+                part = solve_ivp(rates, (self.t, end), start, events=[meet, leave, room], **how)
                 if part.status < 0:
                     return False
                 self.steps += part.t.size - 1
-                state, self.t = part.y[:, -1], float(part.t[-1])
+                state, t = part.y[:, -1], float(part.t[-1])
                 happened = [times.size > 0 for times in part.t_events]
+                if any(happened):  # found on an interpolant, which is not as good as the steps
+                    event = (meet, leave, room)[happened.index(True)]
+                    for _ in range(2):
+                        t = float(np.clip(t - _wait(event, rates, t, state), self.t, end))
+                        state = solve_ivp(rates, (self.t, t), start, **how).y[:, -1]
+                self.t = t
             else:
                 state, happened = start, [False, False, True]
             self.x[:n], self.y[:n], self.totals[:2] = state[:n], np.maximum(state[n : 2 * n], 0.0), state[2 * n :]

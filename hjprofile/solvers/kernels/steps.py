@@ -352,7 +352,7 @@ def number_steps(x, is_step, label, since, n, t, strong, m, speed, log, logged, 
             if m[j] > m[tallest]:
                 tallest = j
             j += 1
-        if j > first and not numbered and m[tallest] > 0.5 * height and height > strong:
+        if j > first and not numbered and m[tallest] > 0.5 * height and height > strong and t >= born:
             totals[3] += 1.0
             label[tallest] = int(totals[3])
             born = min(born, t)
