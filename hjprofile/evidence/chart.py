@@ -105,7 +105,10 @@ def _plan(problem: Problem, grid: Grid, cfl: float) -> Iterator[tuple[str, Ladde
     if not problem.profile.inflow:
         yield "fronts", [(n, partial(track_fronts, problem, grid, n)) for n in FRONTS]
         if "characteristics" in fit:
-            yield "characteristics", [(grid.cells, partial(solve_characteristics, problem, grid, e)) for e in TOLERANCES]
+            yield (
+                "characteristics",
+                [(grid.cells, partial(solve_characteristics, problem, grid, e)) for e in TOLERANCES],
+            )
 
 
 def _reference(problem: Problem, grid: Grid) -> Reference:

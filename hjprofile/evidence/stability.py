@@ -132,7 +132,8 @@ def stability(case: str, problem: Problem, grid: Grid, progress: Callable[[float
         raise InputError(f"{case}: something flows in at the left end; a scan needs a profile with q = 0 there")
     if problem.law.grows_linearly:
         raise InputError(
-            f"{case}: the law grows linearly, so that slopes have no bound to be kept; a scan needs a law of sublinear growth"
+            f"{case}: the law grows linearly, so that slopes have no bound to be kept; "
+            "a scan needs a law of sublinear growth"
         )
     grid = Grid(grid.left, CELLS)
     q = np.diff(problem.profile.W(grid.nodes, problem.law)) / grid.dx

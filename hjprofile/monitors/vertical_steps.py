@@ -73,7 +73,7 @@ def _layer(q: Array, p: int, dx: float) -> tuple[int, int]:
 
 
 def _fit(W: Array, x_a: float, x_b: float, v: Array, law: StepLaw) -> tuple[float, float, float] | None:
-    """Place, height and R on the right of a step between x_a and x_b, with ln(1 + q) = v there; None if there is none."""
+    """Place, height and R on the right of a step between x_a and x_b, with ln(1 + q) = v there; None if it is none."""
     from scipy.optimize import brentq
 
     dx = (x_b - x_a) / (W.size - 1)
@@ -179,8 +179,9 @@ class StepMonitor:
 
     def result(self) -> tuple[list[VerticalStep], list[Event]]:
         """The steps at the kept times, and their events."""
-        lasting = np.flatnonzero(self.seen >= LEAST_LIFE)
-        new = dict(zip(lasting.tolist(), range(1, lasting.size + 1), strict=True))
+        new: dict[float, int] = {}  # numbers of those that last
+        for n in np.flatnonzero(self.seen >= LEAST_LIFE).tolist():
+            new[n] = len(new) + 1
         steps = [VerticalStep(t, new[n], x, m, s) for t, n, x, m, s in self.rows.tolist() if n in new]
         events = [
             Event(t, KINDS[int(kind)], new[n], new.get(into), x)

@@ -245,6 +245,7 @@ def draw_profiles(run: Run) -> Figure:
     bottom.axhline(0, color="0.6", lw=0.6, zorder=0)
     if run.vertical_steps:  # where the profile jumps q has no bound, and what is beside it should be seen
         bottom.set_yscale("symlog", linthresh=1.0)
+        bottom.set_ylim(bottom=min(float(run.q.min()), 0.0) - 0.1)
     bottom.set_xlabel(x_label)
     bottom.set_xlim(x[0], x[-1])
     bar = figure.colorbar(ScalarMappable(norm, colours.resampled(256)), cax=_bar_axes(figure))

@@ -44,7 +44,9 @@ def _growth(law: GridLaw, z: Array) -> Array:
 def _local_lax_friedrichs(law: GridLaw, dx: float, ql: Array, qr: Array, K: Array, bound: float):
     left, right = law.derivative(ql), law.derivative(qr)
     viscosity = K * np.maximum(left, right)
-    thickest = np.maximum(np.maximum(K, K * _growth(law, law.f(ql) * dx)), np.append(K[1:], 1.0))  # of neighbouring nodes
+    thickest = np.maximum(
+        np.maximum(K, K * _growth(law, law.f(ql) * dx)), np.append(K[1:], 1.0)
+    )  # of neighbouring nodes
     speed = thickest * (np.maximum(left, right) + np.maximum(right - left, 0.0) / 2)
     return K * law.f((ql + qr) / 2) - viscosity / 2 * (qr - ql), speed
 

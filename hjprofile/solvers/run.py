@@ -192,3 +192,7 @@ class Run:
     def kinks_at(self, index: int) -> list[KinkRecord]:
         """The kinks at the saved time `self.time[index]`, from left to right."""
         return [k for k in self.kinks if k.time == self.time[index]]
+
+    def steps_at(self, index: int) -> list[VerticalStep]:
+        """The vertical steps at the saved time `self.time[index]`, from left to right."""
+        return [s for s in self.vertical_steps or () if s.time == self.time[index]]

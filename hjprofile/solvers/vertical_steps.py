@@ -26,7 +26,7 @@ KINK = 4.0  # times the strength of an ordinary small front: a step of such a he
 _Z = np.cos(np.pi * (np.arange(8) + 0.5) / 8)
 _FIT = np.linalg.inv(np.vander(_Z, 8, increasing=True)).T
 CARRY_STEPS = ("telescoping", "conservative-telescoping", "fronts")  # methods that move a step at its right speed
-BIRTH = -2.0  # a log's mark of a blow-up
+BLOW_UP = -2.0  # a log's mark of a blow-up
 
 
 def check_growth(problem: Problem, method: str) -> None:
@@ -79,11 +79,14 @@ def step_law(law: ErosionLaw, q_least: float = -0.5) -> StepLaw:
     areas = summed[:, None] + P.polyval(_Z, area)
     areas -= summed[below] + P.polyval(0.0, area[:, below])
 
-    tables = [np.ascontiguousarray(values @ _FIT) for values in (r, age, law.derivative(q), areas)]
-    r_at, age_at = (np.append(P.polyval(-1.0, t.T), P.polyval(1.0, t[-1])) for t in tables[:2])
-    return StepLaw(
-        *tables, r_at, age_at, start, 1.0 / PIECE, float(left[-1] + PIECE), r0, float(r_at[-1]), law.eta0, rate
+    r_table, age_table, df_table, area_table = (
+        np.ascontiguousarray(values @ _FIT) for values in (r, age, law.derivative(q), areas)
     )
+    r_at, age_at = (np.append(P.polyval(-1.0, t.T), P.polyval(1.0, t[-1])) for t in (r_table, age_table))
+    return StepLaw(
+        r_table, age_table, df_table, area_table, r_at, age_at, start, 1.0 / PIECE, float(left[-1] + PIECE),
+        r0, float(r_at[-1]), law.eta0, rate,
+    )  # fmt: skip
 
 
 def _wait(event: Callable, rates: Callable, t: float, state: Array, h: float = 1e-7) -> float:
@@ -106,10 +109,10 @@ class StepTracker:
         small = np.abs(jump[label == 0])
         self.quantum = float(np.median(small)) if small.size else np.inf
         self.strong = KINK * self.quantum if small.size else np.inf
-        self.x, self.jump, self.y, self.since = (np.zeros(room) for _ in range(4))
+        self.x, self.jump, self.y, self.since, self.met = (np.zeros(room) for _ in range(5))
         self.label, self.is_step = np.zeros(room, dtype=np.int64), np.zeros(room, dtype=bool)
         self.x[: self.n], self.jump[: self.n], self.label[: self.n] = x, jump, label
-        self.since[:] = np.inf
+        self.since[:] = self.met[:] = np.inf
         self.work = np.zeros((12, room))
         self.log = np.zeros((2 * room + 2, 4))
         self.totals = np.zeros(4)
@@ -117,12 +120,12 @@ class StepTracker:
         self.events: list[Event] = []
         if not exact:
             self._sweep()
-            room = self.quantum, self.strong, self.law, self.work, self.log
-            self._note(*kernels.transitions(*self._arrays, self.n, 0.0, *room, 0, self.totals))
+            q, strong, *rest = self._rest
+            self._note(*kernels.transitions(*self._arrays, self.n, 0.0, q, strong, *rest[:-1], 0, self.totals))
 
     @property
     def _arrays(self) -> tuple[Array, ...]:
-        return self.x, self.jump, self.is_step, self.y, self.label, self.since
+        return self.x, self.jump, self.is_step, self.y, self.label, self.since, self.met
 
     @property
     def _rest(self) -> tuple:
@@ -140,7 +143,7 @@ class StepTracker:
     def _note(self, n: int, logged: int) -> None:
         self.n = n
         for t, kink, into, x in self.log[: max(logged, 0)].tolist():
-            name = "blow-up" if into == BIRTH else "exit" if into < 0 else "merge"
+            name = {0.0: "birth", -1.0: "exit", BLOW_UP: "blow-up"}.get(into, "merge")
             self.events.append(Event(t, name, int(kink), int(into) if into > 0 else None, x))
 
     def _sweep(self, x: Array | None = None, y: Array | None = None) -> None:
@@ -226,7 +229,7 @@ class StepTracker:
             left = self.law.r_most - self.work[2, :n] - self.jump[:n]
             j = int(np.argmin(np.where(self.is_step[:n], np.inf, left)))
             self.is_step[j], self.y[j] = True, 0.0
-            logged = kernels.note(self.log, logged, self.t, self.label[j], BIRTH, self.x[j])
+            logged = kernels.note(self.log, logged, self.t, self.label[j], BLOW_UP, self.x[j])
         self._note(self.n, logged)
 
     def read(self, nodes: Array) -> tuple[Array, Array]:

@@ -251,7 +251,7 @@ def note(log, logged, t, kink, into, x):
 
 
 @compiled
-def merge(x, jump, is_step, y, label, since, n, t, law, work, log, logged):
+def merge(x, jump, is_step, y, label, since, met, n, t, law, work, log, logged):
     """Merges fronts that are out of order, also several at once; returns how many are left and the rows logged.
 
     Two kinks merge where W stays continuous; with a step among them the heights keep their centre of mass. The piece on
@@ -262,7 +262,8 @@ def merge(x, jump, is_step, y, label, since, n, t, law, work, log, logged):
     for j in range(n):
         k += 1
         if k < j:
-            x[k], jump[k], is_step[k], y[k], label[k], since[k] = x[j], jump[j], is_step[j], y[j], label[j], since[j]
+            x[k], jump[k], is_step[k], y[k], label[k] = x[j], jump[j], is_step[j], y[j], label[j]
+            since[k], met[k] = since[j], met[j]
             v_left[k], v_right[k], m[k], speed[k] = v_left[j], v_right[j], m[j], speed[j]
         while k > 0 and x[k - 1] > x[k]:
             i = k - 1
@@ -274,6 +275,7 @@ def merge(x, jump, is_step, y, label, since, n, t, law, work, log, logged):
             else:
                 place, fits = meeting(x[i], v_left[i], x[k], v_right[k], total, law)
                 as_step = not fits
+            known = (is_step[i] and label[i] > 0) or (is_step[k] and label[k] > 0)
             if label[i] > 0 and label[k] > 0:
                 closing = speed[i] - speed[k]
                 ago = (x[i] - x[k]) / closing if closing > 0.0 else 0.0
@@ -281,24 +283,28 @@ def merge(x, jump, is_step, y, label, since, n, t, law, work, log, logged):
                 label[i] = min(label[i], label[k])
             else:
                 label[i] = max(label[i], label[k])
+            if as_step and label[i] > 0 and not known:
+                logged = note(log, logged, min(t, since[i], since[k]), label[i], -2.0, place)
             y[i] = moved(y_of(v_right[k], law), place - x[k], law)
             v_left[i] = v_of(moved(y_of(v_left[i], law), place - x[i], law), law)
             v_right[i] = v_of(y[i], law)
             m[i] = r_of(v_left[i], law) + total - r_of(v_right[i], law) if as_step else 0.0
-            x[i], jump[i], is_step[i], since[i] = place, total, as_step, min(since[i], since[k])
+            x[i], jump[i], is_step[i] = place, total, as_step
+            since[i], met[i] = min(since[i], since[k]), min(met[i], met[k], t)
             speed[i] = speed[i] if is_step[i] else speed[k]
             k = i
     return k + 1, logged
 
 
 @compiled
-def transitions(x, jump, is_step, y, label, since, n, t, quantum, strong, law, work, log, logged, totals):
+def transitions(x, jump, is_step, y, label, since, met, n, t, quantum, strong, law, work, log, logged, totals):
     """Kinks that have become steps and the reverse, slopes that steps leave behind, births and exits.
 
     Returns how many fronts there are and the rows logged. A kink becomes a step where W on its right has no room under
     an infinite slope. A step slower than the steep slopes just above it lets them go: a front of strength `quantum`
-    leaves it to the right. `since` is when q becomes infinite midway through a front, by
-    dR/dt = K (f - q f') from the moment at which it does so on its right.
+    leaves it to the right. `met` is when a front first merged: with a jump above `strong` it is a kink, born then.
+    `since` is when q becomes infinite midway through a front, by dR/dt = K (f - q f') from the moment at which it does
+    so on its right.
     """
     v_left, v_right, r_left, r_right, m, K, speed = work[0], work[1], work[2], work[3], work[4], work[5], work[6]
     j = 0
@@ -309,6 +315,10 @@ def transitions(x, jump, is_step, y, label, since, n, t, quantum, strong, law, w
                 logged = note(log, logged, t, label[j], -2.0, x[j])
         elif is_step[j] and m[j] <= 0.0:
             is_step[j] = False
+        elif label[j] == 0 and not is_step[j] and met[j] <= t and jump[j] > strong:
+            totals[3] += 1.0
+            label[j] = int(totals[3])
+            logged = note(log, logged, met[j], totals[3], 0.0, x[j] - (t - met[j]) * speed[j])
         if is_step[j] and since[j] == np.inf:
             over, v = r_left[j] + 0.5 * jump[j] - law.r_most, v_of_r(r_left[j] + 0.5 * jump[j], law)
             since[j] = t - over / (K[j] * (f_of(v, law) - math.expm1(v) * at(law.df, law, v)))
@@ -316,13 +326,13 @@ def transitions(x, jump, is_step, y, label, since, n, t, quantum, strong, law, w
             v = v_of_r(r_right[j] + quantum, law)
             if speed[j] < K[j] * at(law.df, law, v):
                 for i in range(n, j + 1, -1):
-                    x[i], jump[i], is_step[i], y[i], label[i], since[i] = (
-                        x[i - 1], jump[i - 1], is_step[i - 1], y[i - 1], label[i - 1], since[i - 1],
-                    )  # fmt: skip
+                    x[i], jump[i], is_step[i], y[i] = x[i - 1], jump[i - 1], is_step[i - 1], y[i - 1]
+                    label[i], since[i], met[i] = label[i - 1], since[i - 1], met[i - 1]
                     for row in range(7):
                         work[row, i] = work[row, i - 1]
                 x[j + 1], jump[j + 1], is_step[j + 1], y[j + 1], label[j + 1] = x[j], -quantum, False, 0.0, 0
-                since[j + 1], v_left[j + 1], r_left[j + 1], m[j + 1] = np.inf, v, r_right[j] + quantum, 0.0
+                since[j + 1], met[j + 1] = np.inf, np.inf
+                v_left[j + 1], r_left[j + 1], m[j + 1] = v, r_right[j] + quantum, 0.0
                 jump[j] += quantum
                 v_right[j], r_right[j], y[j] = v, r_right[j] + quantum, y_of(v, law)
                 n += 1
@@ -340,7 +350,7 @@ def transitions(x, jump, is_step, y, label, since, n, t, quantum, strong, law, w
 
 @compiled
 def number_steps(x, is_step, label, since, n, t, strong, m, speed, log, logged, totals):
-    """Numbers steps that have opened in a smooth slope: of neighbours that open together, one that outweighs the rest."""
+    """Numbers steps that open in a smooth slope: of neighbours that do so together, one that outweighs the rest."""
     j = 0
     while j < n:
         first, tallest, height, born = j, j, 0.0, np.inf
@@ -362,10 +372,10 @@ def number_steps(x, is_step, label, since, n, t, strong, m, speed, log, logged, 
 
 
 @compiled
-def advance(x, jump, is_step, y, label, since, n, t, end, reach, spacing, quantum, strong, law, work, log, totals):
+def advance(x, jump, is_step, y, label, since, met, n, t, end, reach, spacing, quantum, strong, law, work, log, totals):
     """Classical Runge-Kutta steps to `end`, merging after each; otherwise as `kernels.fronts.advance`.
 
-    `log` takes rows (t, kink, into, x), into = -1 an exit, -2 a blow-up, else a merge. `totals` holds ∫(K_left - 1) dt,
+    `log` takes rows (t, kink, into, x), into = 0 a birth, -1 an exit, -2 a blow-up. `totals` holds ∫(K_left - 1) dt,
     ∫F(0) dt with the steps that left, the number of steps and the highest label. Returns n and the rows logged.
     """
     logged = 0
@@ -412,11 +422,11 @@ def advance(x, jump, is_step, y, label, since, n, t, end, reach, spacing, quantu
         top = top_front(x, n)
         sweep(x, jump, is_step, y, n, top, law, work[0], v_right, work[2], r_right, m, K, k, d)
         before = n
-        n, logged = merge(x, jump, is_step, y, label, since, n, t, law, work, log, logged)
+        n, logged = merge(x, jump, is_step, y, label, since, met, n, t, law, work, log, logged)
         if n < before:
             top = top_front(x, n)
             sweep(x, jump, is_step, y, n, top, law, work[0], v_right, work[2], r_right, m, K, k, d)
         n, logged = transitions(
-            x, jump, is_step, y, label, since, n, t, quantum, strong, law, work, log, logged, totals
+            x, jump, is_step, y, label, since, met, n, t, quantum, strong, law, work, log, logged, totals
         )
     return n, logged
