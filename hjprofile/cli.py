@@ -317,6 +317,10 @@ def _account(run: Run) -> str:
         f"  bounds      {'all hold' if not run.warnings else 'NOT HELD:'}",
         *(f"  WARNING     {warning}" for warning in run.warnings),
     ]
+    if run.vertical_steps is not None:
+        broke, now = (sum(e.event == "blow-up" for e in run.events), run.steps_at(-1))
+        tallest = f"; the tallest is {max(s.height for s in now):.4g} high" if now else ""
+        lines.insert(4, f"  steps       {len(now)} vertical at the end, {broke} blow-up{'s' * (broke != 1)}{tallest}")
     if run.error_estimate is not None:
         lines.append(f"  error       of u at most {run.error_estimate:.2g}, by estimate")
     if run.account:

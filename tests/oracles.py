@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.integrate import cumulative_simpson, solve_ivp
 from scipy.interpolate import CubicSpline
+from scipy.optimize import brentq
 from scipy.special import erfc
 
 
@@ -216,3 +217,178 @@ def kinks_on_the_line(positions, amplitudes, times):
 
     path = solve_ivp(rate, (0.0, times[-1]), positions, method="DOP853", rtol=1e-13, atol=1e-13, t_eval=times).y
     return path, np.array([state(s)[0] for s in path.T]).T
+
+
+# Linear growth, f = q + q/(1+q): R = (1+q)/(2+q), and with z = 1/(1+q) = x_u the equation is x_t = K (1 - z²)
+
+
+def steep_q(r):
+    """q at which R = r."""
+    return (2.0 * r - 1.0) / (1.0 - r)
+
+
+def bump_blow_up(amplitude, width, labels=4001, reach=6.0):
+    """Time at which q = amplitude exp(-(x/width)²) becomes infinite, far from the top, by characteristics.
+
+    Over labels dR/dt = K (f - q f') = K ((2R-1)/R)², regular through R = 1, with ln K from the labels above it. The
+    largest R by a spline; good to 1e-10. Also the least X_ξ above it then: positive where no shock has come between.
+    """
+    xi = np.linspace(-reach * width, reach * width, labels)
+    q = amplitude * np.exp(-((xi / width) ** 2))
+    q_xi = -2.0 * xi / width**2 * q
+    r0, r_xi = (1.0 + q) / (2.0 + q), q_xi / (2.0 + q) ** 2
+    I_xi = q + r_xi
+
+    def rate(_, r):
+        swept = cumulative_simpson((I_xi / r)[::-1], dx=xi[1] - xi[0], initial=0.0)[::-1]
+        K = np.exp(np.log(r / 0.5) + swept)
+        return K * ((2.0 * r - 1.0) / r) ** 2
+
+    def room(_, r):
+        k = int(np.argmax(r))
+        spline = CubicSpline(xi[k - 8 : k + 9], r[k - 8 : k + 9])
+        return 1.0 - max(spline(x) for x in spline.derivative().roots(extrapolate=False))
+
+    room.terminal = True
+    run = solve_ivp(rate, (0.0, 10.0), r0, method="DOP853", rtol=1e-12, atol=1e-13, events=room)
+    r = run.y[:, -1]
+    with np.errstate(all="ignore"):
+        stretch = (I_xi - CubicSpline(xi, r).derivative()(xi)) / steep_q(r)
+    above = (xi >= xi[np.argmax(r)]) & (r < 0.999) & (steep_q(r) > 1e-3)
+    return float(run.t[-1]), float(np.min(stretch[above]))
+
+
+def isotonic_profile(W, left, end, cells):
+    """x(u) at a time under f = q + q/(1+q), from a function W(x) = u - x, by the inverse formulation.
+
+    That is x_t = K (1 - x_u²).
+
+    First-order upwind in u, telescoping in K, with x kept non-decreasing by isotonic regression: where x is level u
+    jumps, and the pooled nodes move with their mean velocity. Nothing is known here of characteristics or fronts.
+    """
+    from scipy.optimize import isotonic_regression
+
+    fine = np.linspace(left, 0.0, 400_001)
+    heights = fine + W(fine)
+    u = np.linspace(heights[0], heights[-1], cells + 1)
+    x, du, t = np.interp(u, heights, fine), (heights[-1] - heights[0]) / cells, 0.0
+    while t < end:
+        z = np.diff(x) / du
+        ln_K = np.append(np.cumsum(((1.0 - z**2) * du)[::-1])[::-1], 0.0)
+        if x[-1] > 0.0:
+            ln_K -= np.interp(0.0, x, ln_K)  # K = 1 at x = 0
+        K = np.exp(ln_K)
+        dt = min(0.4 * du / (2.0 * np.max(K[1:] * np.maximum(z, 0.5))), end - t)
+        x[1:] += dt * (K[:-1] - K[1:]) / du
+        x = isotonic_regression(x).x
+        t += dt
+    return u, x
+
+
+def longest_step(u, x):
+    """Where x(u) is level over the longest stretch: place, and height (to one spacing of u)."""
+    starts = np.flatnonzero(np.append(True, np.diff(x) > 1e-12))
+    lengths = np.diff(np.append(starts, x.size))
+    k = int(np.argmax(lengths))
+    return float(x[starts[k]]), float((lengths[k] - 1) * (u[1] - u[0]))
+
+
+class SteepPair:
+    """Two kinks under f = q + q/(1+q) until the step that they make leaves, in the inverse formulation.
+
+    With x = x(t, u), z = x_u and x_t = K (1 - z²), K_u = -K (1 - z²), a piece of constant I = W + R is
+    x = u - I + 1/(1+z) with z = Z(u - c), Z' = (1-Z)(1+Z)², K (1+z) the same all along it, and c' = K (1+z). A kink at
+    height u moves by u' = K (z⁻ + z⁺), x being continuous. Where z would fall below 0 it is 0 over a stretch m of u at
+    one place s, with s' = (K⁻ - K⁺)/m, K⁻ = K⁺ e^m; its ends are where x(u) of the pieces is s.
+
+    Attributes: blow_up, merge, leave, the times of these; `step(t)` place and height; `growth` = ∫(K_left - 1) dt.
+    """
+
+    def __init__(self, positions, amplitudes, end):
+        (s0, s1), (z0, z1) = positions, 1.0 / (1.0 + np.array(amplitudes))
+        self.I1 = 0.5 - 0.5 + 1.0 / (1.0 + z0)
+        c1 = s0 - self._B(z0)
+        met = self._z_at(s1, self.I1, c1)
+        u_b = s1 + self.I1 - 1.0 / (1.0 + met)
+        self.I2 = u_b - s1 + 1.0 / (1.0 + z1)
+        c2 = u_b - self._B(z1)
+        how = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-13, "dense_output": True}
+        self.parts = []
+
+        def rate_before(_, y):
+            c1, c2, u_a, u_b, _ = y
+            z_top, low, high = self._top(c2), self._Z(u_b - c1), self._Z(u_b - c2)
+            K = (1.0 + z_top) / (1.0 + high)
+            along = K * (1.0 + low)  # K (1+z) on the first piece
+            return [along, 1.0 + z_top, along, K * (low + high), along / (1.0 + self._Z(u_a - c1)) - 1.0]
+
+        def vertical(_, y):
+            return y[3] - y[1]
+
+        vertical.terminal = True
+        run = solve_ivp(rate_before, (0.0, end), [c1, c2, s0, u_b, 0.0], events=vertical, **how)
+        self.blow_up = float(run.t[-1])
+        c1, c2, u_a, u_b, grown = run.y[:, -1]
+        place = u_b - self.I2 + 1.0
+
+        def rate_after(_, y):
+            c1, c2, u_a, s, _ = y
+            low, high, m = self._ends(c1, c2, s)
+            z_top = self._top(c2)
+            K = (1.0 + z_top) / (1.0 + high)
+            along = K * np.exp(m) * (1.0 + low)
+            speed = K * (np.expm1(m) / m if m > 1e-12 else 1.0)
+            return [along, 1.0 + z_top, along, speed, along / (1.0 + self._Z(u_a - c1)) - 1.0]
+
+        def meets(_, y):
+            return y[3] - y[2]  # x = u left of the first kink
+
+        meets.terminal = True
+        run = solve_ivp(
+            rate_after, (self.blow_up, end), [c1, c2, u_a, place, grown], events=meets, first_step=1e-8, **how
+        )
+        self.parts.append((run, lambda y: self._ends(y[0], y[1], y[3])[2], 3))
+        self.merge = float(run.t[-1])
+        _, c2, _, place, grown = run.y[:, -1]
+
+        def rate_alone(_, y):
+            c2, s, _ = y
+            z_top, high = self._top(c2), self._z_at(s, self.I2, c2)
+            m = self.I2 - 1.0 / (1.0 + high)
+            K = (1.0 + z_top) / (1.0 + high)
+            return [1.0 + z_top, K * np.expm1(m) / m, K * np.exp(m) - 1.0]
+
+        def leaves(_, y):
+            return -y[1]
+
+        leaves.terminal = True
+        run = solve_ivp(rate_alone, (self.merge, end), [c2, place, grown], events=leaves, **how)
+        self.parts.append((run, lambda y: self.I2 - 1.0 / (1.0 + self._z_at(y[1], self.I2, y[0])), 1))
+        self.leave, self.growth = float(run.t[-1]), float(run.y[2, -1])
+
+    def step(self, t):
+        """Place and height of the step."""
+        run, height, index = next(p for p in self.parts if t <= p[0].t[-1])
+        y = run.sol(t)
+        return float(y[index]), float(height(y))
+
+    @staticmethod
+    def _B(z):
+        """u - c where Z = z."""
+        return 0.25 * np.log((1.0 + z) / (1.0 - z)) + 0.5 * z / (1.0 + z)
+
+    def _Z(self, u):
+        return brentq(lambda z: self._B(z) - u, -0.5, 1.0 - 1e-16, xtol=1e-15)
+
+    def _z_at(self, x, I, c):
+        """z at a place of a piece, where u = x + I - 1/(1+z)."""
+        return brentq(lambda z: x + I - 1.0 / (1.0 + z) - c - self._B(z), 0.0, 1.0 - 1e-16, xtol=1e-15)
+
+    def _top(self, c2):
+        return self._z_at(0.0, self.I2, c2)
+
+    def _ends(self, c1, c2, s):
+        """z at either end of the step at s, and its height."""
+        low = self._z_at(s, self.I1, c1)
+        high = self._z_at(s, self.I2, c2) if s + self.I2 - 1.0 - c2 > 0.0 else 0.0
+        return low, high, self.I2 - 1.0 / (1.0 + high) - (self.I1 - 1.0 / (1.0 + low))

@@ -12,6 +12,9 @@ KNOWN = {
     "kink_positions",
     "position_cells",
     "events",
+    "step_positions",
+    "step_heights",
+    "step_tolerance",
 }
 
 
@@ -31,7 +34,12 @@ def test_case_meets_its_expectation(name):
         assert abs(x - place) <= expect["position_cells"] * case.grid.dx
     if "events" in expect:
         assert [e.event for e in run.events] == expect["events"]
-    numbers = {k.kink for k in run.kinks}
+    for wanted, got in (
+        ("step_positions", [s.x for s in run.steps_at(-1)]),
+        ("step_heights", [s.height for s in run.steps_at(-1)]),
+    ):
+        assert got == pytest.approx(expect.get(wanted, []), abs=expect.get("step_tolerance"))
+    numbers = {k.kink for k in run.kinks} | {s.step for s in run.vertical_steps or ()}
     assert all(e.kink in numbers or e.event != "exit" for e in run.events)
     assert np.all(np.diff(run.time) > 0)
 

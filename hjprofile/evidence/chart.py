@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.errors import InputError, RunError
-from hjprofile.problem import Problem
+from hjprofile.problem import CARRY_STEPS, Problem
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.characteristics import solve_characteristics
 from hjprofile.solvers.closed_forms import closed_form
@@ -23,6 +23,7 @@ CELLS = tuple(int(n) for n in np.geomspace(250, 8000, 12).round())
 FRONTS = 100, 200, 400, 800, 1600, 3200
 TOLERANCES = 1e-7, 1e-9, 1e-11
 REFERENCE_FRONTS = 12800
+STEEP_REFERENCE_FRONTS = 3200  # under a law of linear growth, where a front costs ten times as much
 REPEATS = 3
 PATIENCE = 0.3  # seconds that a run may take before finer ones of its method are left out
 SNAPSHOTS = 5  # times over which the error of u is taken
@@ -96,13 +97,19 @@ Ladder = Sequence[tuple[int, Callable[[], Run]]]
 
 def _plan(problem: Problem, grid: Grid, cfl: float) -> Iterator[tuple[str, Ladder]]:
     """Every method with its resolutions: a number for the chart, and the run."""
-    for method in HJ_METHODS:
+    every = (*HJ_METHODS, *CONSERVATIVE_METHODS, "fronts", "characteristics")
+    fit = CARRY_STEPS if problem.law.grows_linearly else every
+    for method in (m for m in HJ_METHODS if m in fit):
         yield method, [(n, partial(solve_hj, problem, replace(grid, cells=n), method, cfl)) for n in CELLS]
-    for method in CONSERVATIVE_METHODS:
+    for method in (m for m in CONSERVATIVE_METHODS if m in fit):
         yield method, [(n, partial(solve_conservative, problem, replace(grid, cells=n), method, cfl)) for n in CELLS]
     if not problem.profile.inflow:
         yield "fronts", [(n, partial(track_fronts, problem, grid, n)) for n in FRONTS]
-        yield "characteristics", [(grid.cells, partial(solve_characteristics, problem, grid, e)) for e in TOLERANCES]
+        if "characteristics" in fit:
+            yield (
+                "characteristics",
+                [(grid.cells, partial(solve_characteristics, problem, grid, e)) for e in TOLERANCES],
+            )
 
 
 def _reference(problem: Problem, grid: Grid) -> Reference:
@@ -118,7 +125,11 @@ def _reference(problem: Problem, grid: Grid) -> Reference:
     def read(run: Run) -> tuple[Array, Array]:
         return run.u, run.q[-1]
 
+    numbers = REFERENCE_FRONTS
     try:
+        if problem.law.grows_linearly:
+            numbers = STEEP_REFERENCE_FRONTS
+            raise RunError("vertical steps are followed by fronts alone")
         run = solve_characteristics(problem, grid)
         if run.done and run.error_estimate is not None:
             return Reference(
@@ -126,10 +137,10 @@ def _reference(problem: Problem, grid: Grid) -> Reference:
             )  # fmt: skip
     except RunError:
         pass
-    finest, coarser = (track_fronts(problem, grid, n) for n in (REFERENCE_FRONTS, REFERENCE_FRONTS // 2))
+    finest, coarser = (track_fronts(problem, grid, n) for n in (numbers, numbers // 2))
     error = float(np.abs(finest.u - coarser.u).max())
     return Reference(
-        f"{REFERENCE_FRONTS} fronts", error, lambda g: read(track_fronts(problem, g, REFERENCE_FRONTS))
+        f"{numbers} fronts", error, lambda g: read(track_fronts(problem, g, numbers))
     )  # fmt: skip
 
 

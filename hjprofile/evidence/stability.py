@@ -136,6 +136,11 @@ def stability(case: str, problem: Problem, grid: Grid, progress: Callable[[float
         raise InputError(f"{case}: something flows in at the left end; a scan needs a profile with q = 0 there")
     if problem.coefficient is not None:
         raise InputError(f"{case}: a scan varies the nonlocal factor; it says nothing about a prescribed coefficient")
+    if problem.law.grows_linearly:
+        raise InputError(
+            f"{case}: the law grows linearly, so that slopes have no bound to be kept; "
+            "a scan needs a law of sublinear growth"
+        )
     grid = Grid(grid.left, CELLS)
     q = np.diff(problem.profile.W(grid.nodes, problem.law)) / grid.dx
     if not problem.end > 0.0 or not np.abs(q).max() > 0.0:

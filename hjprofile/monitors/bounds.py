@@ -37,6 +37,8 @@ MONOTONE: Promises = MappingProxyType(
     }
 )
 TELESCOPING: Promises = MappingProxyType({**MONOTONE, "volume_budget": EXACT})
+# a law of linear growth (theory, §14): q is without bound, and so is its variation
+STEEP: Promises = MappingProxyType({**TELESCOPING, **dict.fromkeys(("upper_bound", "tv_growth"))})
 LOCAL: Promises = MappingProxyType(
     {**MONOTONE, **dict.fromkeys(("flux_maximum", "flux_variation", "kruzkov"))},
 )

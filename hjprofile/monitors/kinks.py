@@ -61,12 +61,17 @@ class _Path:
 
 
 class KinkTracker:
-    """A monitor that finds the kinks of every state it sees and links the sightings into paths."""
+    """A monitor that finds the kinks of every state it sees and links the sightings into paths.
+
+    `hidden` tells stretches (left, right) of a state in which what looks like a kink is none: the layers of steps.
+    """
 
     memory: tuple[str, ...] = ("table",)
 
-    def __init__(self, law: ErosionLaw, grid: Grid):
-        self.law, self.grid = law, grid
+    def __init__(
+        self, law: ErosionLaw, grid: Grid, hidden: Callable[[State], Sequence[tuple[float, float]]] = lambda state: ()
+    ):
+        self.law, self.grid, self.hidden = law, grid, hidden
         self.frames: list[tuple[float, list[Sighting]]] = []
         self.latest: tuple[float, list[Sighting]] = (-np.inf, [])
 
@@ -86,7 +91,9 @@ class KinkTracker:
             if state.K is not None:
                 nodes = self.grid.nodes[state.first : state.first + state.K.size]
                 rows[:, 3] = np.interp(rows[:, 0], nodes, state.K)
-            self.latest = state.t, [Sighting(*row) for row in rows.tolist()]
+            hidden = self.hidden(state)
+            seen = [Sighting(*row) for row in rows.tolist()]
+            self.latest = state.t, [s for s in seen if not any(a <= s.x <= b for a, b in hidden)]
         return self.latest[1]
 
     @property

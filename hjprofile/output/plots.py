@@ -309,6 +309,9 @@ def draw_profiles(run: Run) -> Figure:
     middle.set_ylabel("change of height")
     bottom.set_ylabel("excess slope q = $u_x$ - 1")
     bottom.axhline(0, color="0.6", lw=0.6, zorder=0)
+    if run.vertical_steps:  # where the profile jumps q has no bound, and what is beside it should be seen
+        bottom.set_yscale("symlog", linthresh=1.0)
+        bottom.set_ylim(bottom=min(float(run.q.min()), 0.0) - 0.1)
     bottom.set_xlabel(x_label)
     bottom.set_xlim(x[0], x[-1])
     bar = figure.colorbar(ScalarMappable(norm, colours.resampled(256)), cax=_bar_axes(figure))
@@ -324,6 +327,8 @@ def draw_diagram(run: Run) -> Figure:
     figure = _figure(8.0, 5.2, run)
     axes = figure.subplots()
     low, high = float(run.q.min()), float(run.q.max())
+    if run.vertical_steps:  # where the profile jumps q has no bound
+        high = max(float(np.quantile(run.q, 0.98)), 0.0)
     span = max(-low, high)
     if span < 1e-9:  # a critical slope: rounding must not be drawn as if it were relief
         span = 1.0
@@ -343,7 +348,10 @@ def draw_diagram(run: Run) -> Figure:
         path += [(e.time, e.x) for e in run.events if e.kink == number]
         t, at = np.array(sorted(path)).T
         axes.plot(scale(at), t, color="k", lw=1.0, marker="." if at.size == 1 else None)
-    for kind, marker in (("birth", "o"), ("merge", "^"), ("exit", "s")):
+    for number in sorted({s.step for s in run.vertical_steps or ()}):
+        t, at = np.array([(s.time, s.x) for s in run.vertical_steps or () if s.step == number]).T
+        axes.plot(scale(at), t, color="k", lw=2.6, marker="." if at.size == 1 else None)
+    for kind, marker in (("birth", "o"), ("blow-up", "*"), ("merge", "^"), ("exit", "s")):
         marks = [e for e in run.events if e.event == kind]
         if marks:
             axes.plot(
@@ -352,6 +360,9 @@ def draw_diagram(run: Run) -> Figure:
             )  # fmt: skip
     if run.kinks:
         axes.plot([], [], color="k", lw=1.0, label="kink")
+    if run.vertical_steps:
+        axes.plot([], [], color="k", lw=2.6, label="vertical step")
+    if run.kinks or run.vertical_steps:
         axes.legend(loc="upper left", fontsize=8, framealpha=0.9)
     _titles(axes, run)
     axes.set_xlabel(x_label)

@@ -22,12 +22,13 @@ import tomli_w
 import hjprofile
 from hjprofile.errors import InputError
 from hjprofile.problem.units import Units
-from hjprofile.solvers.run import Event, KinkRecord, Run, Verdict
+from hjprofile.solvers.run import Event, KinkRecord, Run, Verdict, VerticalStep
 
 VTK_FOLDER = "vtk"
+STEPS_FILE = "vertical_steps.csv"
 _UNITS = ("length", "critical_slope", "x_top", "height_top")
 _HALF = re.compile(r"\..+\.(nc|csv|json|png|npz|pvd|vtp|vtr)\.\w{8}")  # as `write_whole` names them
-_STALE = ("profile.png", "diagram.png", "vtk/*.pvd", "vtk/*.vtp", "vtk/*.vtr")
+_STALE = (STEPS_FILE, "profile.png", "diagram.png", "vtk/*.pvd", "vtk/*.vtp", "vtk/*.vtr")
 
 _VARIABLES = {  # name -> dimensions, CF long name, axis
     "time": (("time",), "mass of grains poured in", "T"),
@@ -86,6 +87,8 @@ def write_run(
         "kinks.csv": to_csv(KinkRecord._fields, run.kinks),
         "events.csv": to_csv(Event._fields, run.events),
     }
+    if run.vertical_steps is not None:
+        files[STEPS_FILE] = to_csv(VerticalStep._fields, run.vertical_steps)
     if vtk:
         from hjprofile.output.vtk import vtk_files
 
@@ -231,12 +234,18 @@ def load_run(folder: str | Path) -> Run:
             Event(float(r["time"]), r["event"], int(r["kink"]), int(r["into"]) if r["into"] else None, float(r["x"]))
             for r in _read(folder, "events.csv")
         ]
+        steps = None
+        if (folder / STEPS_FILE).exists():
+            steps = [
+                VerticalStep(**{n: int(v) if n == "step" else float(v) for n, v in row.items()})  # type: ignore[arg-type]
+                for row in _read(folder, STEPS_FILE)
+            ]
         content = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
         return Run(
             title=content["title"], method=text["method"], case=tomllib.loads(text["case"]), **arrays,  # type: ignore[arg-type]
             status=text["status"], steps=content["steps"], wall_seconds=content["wall_seconds"],
             step_range=(_number(content["time_step"]["least"]), _number(content["time_step"]["largest"])),
-            kinks=kinks, events=events, eroded_volume=_number(content["eroded_volume"]),
+            kinks=kinks, events=events, vertical_steps=steps, eroded_volume=_number(content["eroded_volume"]),
             outflow=_number(content["outflow"]), units=units,
             bounds={
                 name: Verdict(

@@ -15,6 +15,7 @@ from hjprofile.problem.line import moved, tail
 from hjprofile.problem.profiles import Profile
 
 LAYER_METHOD = "conservative-telescoping"  # for its flux the bed loses exactly what the layer gains
+CARRY_STEPS = "telescoping", "conservative-telescoping", "fronts"  # move a vertical step at its right speed
 LINES = "half", "whole"
 OFF_GRID = "fronts", "characteristics", "auto"
 
@@ -61,6 +62,7 @@ class Problem:
             "a coefficient": self.coefficient is not None,
             "a layer's thickness": self.thickness > 0.0,
             "line = 'whole'": self.line == "whole",
+            "a law with growth = 'linear'": self.law.grows_linearly,
         }
         if sum(changes.values()) > 1:
             raise InputError(f"{' and '.join(name for name, asked in changes.items() if asked)} do not go together")
@@ -113,6 +115,11 @@ class Problem:
                 f"the method {method} follows the invariant I, which a given coefficient does not have; "
                 "use a method on a grid, such as conservative"
             )
+        if self.law.grows_linearly and method not in CARRY_STEPS:
+            raise InputError(
+                f"method = {method!r} cannot carry the vertical steps of a law with growth = 'linear'; "
+                f"those that can are {', '.join(CARRY_STEPS)}"
+            )
         if refresh is None:
             return
         if method in OFF_GRID:
@@ -120,8 +127,10 @@ class Problem:
                 f"refresh applies to methods on a grid; {method} follows the invariant I, which a factor that is kept "
                 "does not have"
             )
-        if self.thickness or self.line == "whole":
-            what = "a rolling layer" if self.thickness else "line = 'whole'"
+        if self.thickness or self.law.grows_linearly or self.line == "whole":
+            what = (
+                "a rolling layer" if self.thickness else "line = 'whole'" if self.line == "whole" else "linear growth"
+            )
             raise InputError(f"refresh = {refresh:g} does not go together with {what}; leave it out")
 
     @np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks refuse

@@ -150,10 +150,13 @@ _LAWS: dict[str, tuple[Callable, dict[str, tuple]]] = {
     "rational": (erosion.rational, {}),
     "log": (erosion.log, {}),
     "power": (erosion.power, {"m": (_positive,)}),
-    "expression": (lambda expression: erosion.expression(expression), {"expression": (_text,)}),
+    "expression": (
+        lambda expression, growth: erosion.expression(expression, growth),
+        {"expression": (_text,), "growth": (_text, None)},
+    ),
     "python": (
-        lambda file, function, base: erosion.from_file(base / file, function, file),
-        {"file": (_text,), "function": (_text,)},
+        lambda file, function, growth, base: erosion.from_file(base / file, function, file, growth),
+        {"file": (_text,), "function": (_text,), "growth": (_text, None)},
     ),
 }
 _PROFILES: dict[str, tuple[Callable, dict[str, tuple]]] = {

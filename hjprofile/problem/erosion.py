@@ -1,13 +1,14 @@
 """Erosion laws f(q): how fast an avalanche of unit thickness erodes a slope of excess q = u_x - 1.
 
-Assumptions [eq:f]: f in C², f(0) = 0, f' > 0, f'' < 0, f -> -∞ as q -> -1, f(q)/q -> 0 as q -> ∞.
+Assumptions [eq:f]: f in C², f(0) = 0, f' > 0, f'' < 0, f -> -∞ as q -> -1, f(q)/q -> 0 as q -> ∞. A law with
+growth "linear" instead of the last has f' -> η0 > 0: slopes then become infinite, and the profile jumps (theory, §14).
 """
 
 from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,10 @@ Function = Callable[[Any], Any]
 NEAR_ZERO = (
     0.05  # |q| below which q/f(q) is read from a polynomial: there f may be a difference of numbers of order one
 )
+LINEAR = "linear"  # the growth of a law outside [eq:f]
+FAR = 1e100, 1e50, 1e30, 1e15  # slopes at which f' is looked for its limit: the largest where f is finite, and the next
+FARTHEST = 1e5  # slopes beyond which f - q f' of a law of linear growth is taken as constant
+LIMIT = 1e-10  # relative difference of f' at the two up to which it has one
 _STENCIL = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])  # eighth-order central difference
 
 
@@ -49,12 +54,19 @@ class ErosionLaw:
         derivative: f', positive and decreasing.
         table: the `[erosion]` table of a case file that makes this law again.
         closed_inverse: f⁻¹ where it is known in closed form.
+        eta0: η0 = lim f' as q -> ∞: 0 for the laws of [eq:f], positive for those of linear growth.
     """
 
     f: Function
     derivative: Function
     table: Mapping[str, Any] = field(default_factory=dict)
     closed_inverse: Function | None = None
+    eta0: float = 0.0
+
+    @property
+    def grows_linearly(self) -> bool:
+        """Whether slopes can become infinite and the profile can jump (theory, §14)."""
+        return self.eta0 > 0.0
 
     @property
     def name(self) -> str:
@@ -99,11 +111,13 @@ class ErosionLaw:
         q = np.asarray(q, dtype=float)
         near = np.abs(q) <= NEAR_ZERO
         inner, away = np.clip(q, -NEAR_ZERO, NEAR_ZERO), np.where(near, 1.0, q)
-        f = self.f(away)
+        f, gain = self.f(away), away
+        if self.grows_linearly:  # f - q f' grows, slowly at last, and far out is lost in rounding
+            gain = np.minimum(away, FARTHEST)
         return np.where(
             near,
             -self._f_over_q_derivative(inner) / self._f_over_q(inner) ** 2,
-            (f - away * self.derivative(away)) / f**2,
+            (self.f(gain) - gain * self.derivative(gain)) / f**2,
         )
 
     def decay(self, q0: float, distance) -> Array:
@@ -163,37 +177,43 @@ def power(m: float) -> ErosionLaw:
     )
 
 
-def expression(text: str) -> ErosionLaw:
+def expression(text: str, growth: str | None = None) -> ErosionLaw:
     """A law from an arithmetic expression in q (`expressions.arithmetic`).
 
-    Raises InputError for anything else, and for a law that breaks an assumption.
+    Raises InputError for anything else, and for a law that breaks an assumption. `growth` as in `erosion_law`.
     """
-    return erosion_law(arithmetic(text, "q").value, table={"law": "expression", "expression": text.strip()})
+    table = {"law": "expression", "expression": text.strip()}
+    return erosion_law(arithmetic(text, "q").value, table=table, growth=growth)
 
 
 def erosion_law(
-    f: Function, derivative: Function | None = None, inverse: Function | None = None, table: Mapping | None = None
-) -> ErosionLaw:
+    f: Function, derivative: Function | None = None, inverse: Function | None = None, table: Mapping | None = None,
+    growth: str | None = None,
+) -> ErosionLaw:  # fmt: skip
     """A law from a Python function of q; f' and the inverse are derived where they are not given.
 
-    `f` may take arrays, or single numbers only (slower). Raises InputError if an assumption of [eq:f] is broken.
+    `f` may take arrays, or single numbers only (slower). Raises InputError if an assumption of [eq:f] is broken. With
+    growth = "linear" the last of them is replaced by f' -> η0 > 0 (theory, §14).
     """
+    if growth not in (None, LINEAR):
+        raise InputError(f"growth = {growth!r} must be 'linear', or left out for a law of sublinear growth")
     name = getattr(f, "__name__", "f")
     vectorised = _over_arrays(f)
     law = ErosionLaw(
         f=vectorised,
         derivative=_over_arrays(derivative) if derivative is not None else differentiate(vectorised),
-        table=table or {"law": "python", "file": getattr(f, "__module__", ""), "function": name},
+        table=dict(table or {"law": "python", "file": getattr(f, "__module__", ""), "function": name})
+        | ({"growth": growth} if growth else {}),
         closed_inverse=inverse,
     )
-    check_assumptions(law)
-    return law
+    check_assumptions(law, growth)
+    return replace(law, eta0=_slope_at_infinity(law)) if growth else law
 
 
-def from_file(path: Path, function: str, file: str | None = None) -> ErosionLaw:
-    """A law from the function of that name in a Python file, which is run."""
+def from_file(path: Path, function: str, file: str | None = None, growth: str | None = None) -> ErosionLaw:
+    """A law from the function of that name in a Python file, which is run; `growth` as in `erosion_law`."""
     f = load_function(path, function)
-    return erosion_law(f, table={"law": "python", "file": file or str(path), "function": function})
+    return erosion_law(f, table={"law": "python", "file": file or str(path), "function": function}, growth=growth)
 
 
 def require_file(path: Path) -> None:
@@ -238,8 +258,19 @@ def _over_arrays(f: Function) -> Function:
     return lambda q: looped(q)
 
 
-def check_assumptions(law: ErosionLaw) -> None:
-    """Raises InputError naming the assumption of [eq:f] that the law breaks and a q where it does."""
+def _slope_at_infinity(law: ErosionLaw) -> float:
+    """lim f' as q -> ∞, or 0 where f' has not settled at a positive limit; read off f/q, which is exact so far out."""
+    q = np.array(FAR)
+    with np.errstate(all="ignore"):
+        f, slopes = np.asarray(law.f(q), dtype=float), np.asarray(law.derivative(q), dtype=float)
+    finite = np.isfinite(f) & np.isfinite(slopes)
+    far, mean = slopes[finite], (f / q)[finite]
+    settled = far.size > 1 and far[0] > 0.0 and max(abs(far[:2] - mean[0])) <= LIMIT * far[0]
+    return float(mean[0]) if settled else 0.0
+
+
+def check_assumptions(law: ErosionLaw, growth: str | None = None) -> None:
+    """Raises InputError naming the assumption that the law breaks, of [eq:f] or of growth "linear", and a q where."""
     v = np.linspace(np.log(1e-8), np.log(1e8), 4001)  # ln(1+q)
     q = np.expm1(v)
     try:
@@ -254,11 +285,20 @@ def check_assumptions(law: ErosionLaw) -> None:
 
     if not np.isfinite(f0) or abs(f0) > 1e-12:
         raise InputError(f"the law is not an erosion function: f(0) = 0 fails at q = 0, where f = {f0:.6g}")
+    limit = 0.0
+    if growth == LINEAR:
+        limit = _slope_at_infinity(law)
+        if not limit:
+            raise InputError(
+                "the law has not the growth = 'linear' that it is given: its slope f' does not settle at a positive "
+                "limit as q -> infinity; leave growth out if it tends to 0"
+            )
+        df = df - limit  # concave towards a line: what is positive and falls is f' - η0
     # A derivative found by differences carries rounding of about 1e-14 f/(1+q); far below it nothing can be said.
     resolved = np.abs(df) > 1e-9 * np.abs(f) / (1 + q)
     flat = (df <= 0) & (resolved | (q < 20))
     if flat.any():
-        refuse("f' > 0", q[np.argmax(flat)])
+        refuse("f'' < 0" if limit else "f' > 0", q[np.argmax(flat)])
     rising = (df[1:] >= df[:-1] * (1 - 1e-10)) & resolved[1:] & resolved[:-1]
 
     def refuse_convexity(within: Array) -> None:
@@ -274,6 +314,9 @@ def check_assumptions(law: ErosionLaw) -> None:
     broken = ~(np.isfinite(f) & np.isfinite(df))
     if broken.any():
         refuse("that f is finite with a derivative for every q > -1", q[np.argmax(broken)])
-    if df[-1] > 0.5 * np.interp(np.log(1e4), v, df):
-        refuse("f(q)/q -> 0 as q -> infinity (sublinear growth)", q[-1])
+    if not limit and df[-1] > 0.5 * np.interp(np.log(1e4), v, df):
+        raise InputError(
+            "the law is not an erosion function: f(q)/q -> 0 as q -> infinity (sublinear growth) fails at "
+            f"q = {q[-1]:.10g}; a law whose slope f' tends to a positive limit is admitted with growth = 'linear'"
+        )
     refuse_convexity(q[1:] >= 100)

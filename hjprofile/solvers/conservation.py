@@ -34,8 +34,10 @@ def _heights(q: Array, dx: float, W_left: float) -> Array:
 FirstOrderFlux = Callable[[GridLaw, float, Array, Array, Array, float], tuple[Array, Array]]
 
 
-def _growth(z: Array) -> Array:
+def _growth(law: GridLaw, z: Array) -> Array:
     """K_{i-1}/K_i for z = f Δx, as in the sweeps of the Hamilton-Jacobi solver."""
+    if law.law.grows_linearly:
+        return np.exp(z)
     z = np.maximum(z, -1.0)
     return 1.0 + z + 0.5 * z**2
 
@@ -58,7 +60,8 @@ def _godunov(law: GridLaw, dx: float, ql: Array, qr: Array, K: Array, bound: flo
 
 def _telescoping(law: GridLaw, dx: float, ql: Array, qr: Array, K: Array, bound: float):
     z = law.f(ql) * dx
-    return K[1:] * (_growth(z) - 1.0) / dx, K[1:] * law.derivative(ql) * (1 + np.maximum(z, 0.0))
+    steepest = np.exp(np.maximum(z, 0.0)) if law.law.grows_linearly else 1 + np.maximum(z, 0.0)
+    return K[1:] * (_growth(law, z) - 1.0) / dx, K[1:] * law.derivative(ql) * steepest
 
 
 FLUXES: Mapping[str, FirstOrderFlux] = MappingProxyType(
@@ -115,7 +118,7 @@ class FirstOrder:
             if not np.min(self.q) > -1.0:
                 return np.inf
             given = self.factor.given(step * dt)
-            own = np.append(np.cumprod(_growth(self.law.f(self.q) * dx)[::-1])[::-1], 1.0)
+            own = np.append(np.cumprod(_growth(self.law, self.law.f(self.q) * dx)[::-1])[::-1], 1.0)
             K = own if given is None else given[0]
             neighbour = np.append(self.q[1:], self.q[-1])  # outflow at x = 0
             F, speed = self.flux(self.law, dx, self.q, neighbour, K, bound)

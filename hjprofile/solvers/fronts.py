@@ -24,7 +24,10 @@ from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels import fronts as kernels
 from hjprofile.solvers.kernels.exact_fronts import advance_exactly
 from hjprofile.solvers.kernels.law import LawTable, law_q_f, start_pieces
-from hjprofile.solvers.run import Array, Event, KinkRecord, Run
+from hjprofile.solvers.kernels.steps import StepLaw
+from hjprofile.solvers.kernels.steps import start_pieces as start_steep_pieces
+from hjprofile.solvers.run import Array, Event, KinkRecord, Run, VerticalStep
+from hjprofile.solvers.vertical_steps import StepTracker, step_law
 from hjprofile.solvers.whole_line import also_on_the_whole_line
 
 REACH = 4.0  # spacings that the fastest front may cross in a step: then time adds little to the error of space
@@ -64,7 +67,7 @@ class Fronts:
         return not self.smooth.any()
 
 
-def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts, LawTable]:
+def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts, LawTable | StepLaw]:
     """Piecewise constant I whose W is exact at the ends of the pieces; downward jumps become fans of small fronts."""
     law, profile = problem.law, problem.profile
     breaks = profile.breaks(law)
@@ -95,7 +98,9 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts,
     reached = np.concatenate([mean, breaks[:, 1:].ravel(), [0.0]])
     ceiling = float(np.max(law.R(reached)) + np.ptp(W))
     # a front that jumps down lowers the q on its right a little where the exact fan would not
-    table = law_table(law, (1.0 + float(np.min(reached))) / 8.0 - 1.0, _slope_at(law, 1.1 * ceiling))
+    floor = (1.0 + float(np.min(reached))) / 8.0 - 1.0
+    table: LawTable | StepLaw
+    table = step_law(law, floor) if law.grows_linearly else law_table(law, floor, _slope_at(law, 1.1 * ceiling))
     r0 = float(law.R(0.0))
     r = law.R(breaks[:, 2]) if isinstance(profile, Kinks) else _start_of_pieces(law, table, mass, h)
     I = W[:-1] + r
@@ -144,8 +149,12 @@ def _slope_at(law: ErosionLaw, r: float) -> float:
     return q
 
 
-def _start_of_pieces(law: ErosionLaw, table: LawTable, mass: Array, h: Array) -> Array:
+def _start_of_pieces(law: ErosionLaw, table: LawTable | StepLaw, mass: Array, h: Array) -> Array:
     """r at the left end of pieces of constant I that hold the given mass: r - r(h) = mass."""
+    if isinstance(table, StepLaw):
+        v = np.empty_like(mass)
+        start_steep_pieces(mass, h, table, v)
+        return law.R(np.expm1(v))
     if law.name == "rational":
         return 1.0 + mass / -np.expm1(-h)
     r = np.empty_like(mass)
@@ -229,6 +238,10 @@ class _Tracker:
                 )
         return records
 
+    def vertical_steps(self) -> list[VerticalStep] | None:
+        """None: a law of sublinear growth has none."""
+        return None
+
 
 @also_on_the_whole_line
 def track_fronts(
@@ -256,10 +269,18 @@ def track_fronts(
     grid = grid or problem.grid()
     problem.check(grid, "fronts")
     data, table = cut_into_fronts(problem, grid.left, fronts)
-    tracker = _Tracker(data, table, exact=data.kinks_only if exact is None else exact)
+    exact = data.kinks_only if exact is None else exact
+    tracker: _Tracker | StepTracker
+    if isinstance(table, StepLaw):
+        if exact and not data.kinks_only:
+            raise InputError("exact = True of other data than kinks is not available for a law with growth = 'linear'")
+        tracker = StepTracker(data.x, data.jump, data.label, data.spacing, exact, table)
+    else:
+        tracker = _Tracker(data, table, exact)
     height = float(profile.W(grid.nodes[:1], problem.law)[0])
 
     kept, saved, kinks = problem.times, [], []
+    steps: list[VerticalStep] | None = [] if problem.law.grows_linearly else None
     scale = 1.0 + float(np.abs(data.jump).sum())
     read = ROUNDING * scale
     second = "second order in the spacing of fronts"
@@ -295,12 +316,13 @@ def track_fronts(
         if target in kept:
             saved.append((W, K))
             kinks += tracker.kinks()
+            if steps is not None:
+                steps += tracker.vertical_steps() or []
         if progress:
             progress(float(target) / problem.end if problem.end else 1.0)
     if not saved:
         raise RunError(status)
     W, K = (np.array(rows) for rows in zip(*saved, strict=True))
-    steps = int(tracker.totals[2])
     return Run(
         title=problem.title,
         method="fronts",
@@ -312,10 +334,11 @@ def track_fronts(
         q=np.diff(W, axis=1) / grid.dx,
         K=K,
         status=status,
-        steps=steps,
+        steps=int(tracker.totals[2]),
         wall_seconds=seconds,
         kinks=kinks,
         events=sorted(tracker.events, key=lambda e: (e.time, e.kink)),
+        vertical_steps=steps,
         bounds=watch.bounds,
         eroded_volume=watch.eroded_volume,
         outflow=float(tracker.totals[1]),

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hjprofile.problem.erosion import Array, ErosionLaw, Function
-from hjprofile.solvers.kernels.erosion import PIECES, SHIFT, Rational, Tabulated, values
+from hjprofile.solvers.kernels.erosion import PIECES, SHIFT, Linear, Rational, Tabulated, values
 
 HEADROOM = 5  # binades of 1 + q that a table has above the data: q grows along characteristics
+STEEPEST = 32  # binades of 1 + q that a law of linear growth is tabulated for: a jump of u in one cell is m/Δx
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class GridLaw:
     law: ErosionLaw
     f: Function
     derivative: Function
-    kernel: Rational | Tabulated
+    kernel: Rational | Tabulated | Linear
     q_most: float
 
     def covering(self, q: Array) -> GridLaw:
@@ -38,7 +39,8 @@ def grid_law(law: ErosionLaw, q: Array) -> GridLaw:
     least, most = min(float(np.min(q)), 0.0), max(float(np.max(q)), 0.0)
     low, high = (int(np.floor(np.log2(1.0 + bound))) for bound in (least, most))
     first = (1023 + low - 1) << PIECES
-    pieces = (high - low + 2 + HEADROOM) << PIECES
+    high = max(high + HEADROOM, STEEPEST if law.grows_linearly else 0)
+    pieces = (high - low + 2) << PIECES
     ends = ((first + np.arange(pieces + 1)) << SHIFT).view(np.float64)
     h = np.diff(ends)
     with np.errstate(all="ignore"):
@@ -47,7 +49,7 @@ def grid_law(law: ErosionLaw, q: Array) -> GridLaw:
     c0, c1 = at_ends[:-1].copy(), slopes[:-1].copy()
     c2, d1 = (np.diff(at_ends) / h - c1) / h, np.diff(slopes) / h
 
-    kernel = Tabulated(c0, c1, c2, d1, first)
+    kernel = (Linear if law.grows_linearly else Tabulated)(c0, c1, c2, d1, first)
 
     def f(q):
         return _values(q, kernel)[0]
@@ -58,7 +60,7 @@ def grid_law(law: ErosionLaw, q: Array) -> GridLaw:
     return GridLaw(law, f, derivative, kernel, float(ends[-1]) - 1.0)
 
 
-def _values(q: Array, kernel: Tabulated) -> tuple[Array, Array]:
+def _values(q: Array, kernel: Tabulated | Linear) -> tuple[Array, Array]:
     f, df = np.empty(q.shape), np.empty(q.shape)
     values(q.ravel(), kernel, f.ravel(), df.ravel())
     return f, df

@@ -11,8 +11,18 @@ from types import MappingProxyType
 import numpy as np
 
 from hjprofile.errors import InputError, RunError
-from hjprofile.monitors.bounds import HIGHER_ORDER, LOCAL, MONOTONE, TELESCOPING, WITH_LAYER, BoundsMonitor, Promises
+from hjprofile.monitors.bounds import (
+    HIGHER_ORDER,
+    LOCAL,
+    MONOTONE,
+    STEEP,
+    TELESCOPING,
+    WITH_LAYER,
+    BoundsMonitor,
+    Promises,
+)  # fmt: skip
 from hjprofile.monitors.kinks import KinkTracker
+from hjprofile.monitors.vertical_steps import StepMonitor
 from hjprofile.problem import OFF_GRID, Problem
 from hjprofile.problem.case import DEFAULT_CFL, DEFAULT_METHOD, Case, resolved_case
 from hjprofile.problem.grid import Grid
@@ -22,7 +32,8 @@ from hjprofile.solvers.factor import check_refresh
 from hjprofile.solvers.fronts import track_fronts
 from hjprofile.solvers.high_order import ORDERS
 from hjprofile.solvers.march import Scheme, march
-from hjprofile.solvers.run import Keeper, Run
+from hjprofile.solvers.run import Keeper, Monitor, Run
+from hjprofile.solvers.vertical_steps import step_law
 from hjprofile.solvers.whole_line import also_on_the_whole_line
 
 Progress = Callable[[float], None]
@@ -166,23 +177,41 @@ def _solve(
     if not cfl > 0:
         raise InputError(f"cfl = {cfl} must be a positive number")
     scheme: Scheme = (hj if method in HJ_METHODS else conservation).scheme(problem, grid, method, refresh)
-    promises = WITH_LAYER if problem.thickness else PROMISES[method]
+    promises = WITH_LAYER if problem.thickness else STEEP if problem.law.grows_linearly else PROMISES[method]
     bounds = BoundsMonitor(
         problem.law, grid, scheme.W, problem.profile.inflow, problem.end, promises,
         hj.FLUXES.get(method.removeprefix("conservative-")), strict, problem.coefficient, scheme.factor.refresh,
     )  # fmt: skip
-    tracker = KinkTracker(problem.law, grid)
+    steps = None
+    if problem.law.grows_linearly:
+        table = step_law(problem.law, 0.5 * (float(np.min(np.diff(scheme.W))) / grid.dx - 1.0))
+        steps = StepMonitor(table, grid, problem.times, problem.law.f)
+        tracker = KinkTracker(problem.law, grid, steps.hidden)
+    else:
+        tracker = KinkTracker(problem.law, grid)
     case = resolved_case(problem, grid, method, cfl, refresh=scheme.factor.refresh)
     # two runs are the same if they have the same case, and what it names is the same
     named = [scheme.W, problem.law.f(np.linspace(-0.9, 9.0, 100))]
     if problem.coefficient is not None:
         named += [problem.coefficient.values(t, grid.nodes) for t in (0.0, problem.end)]
     data = hashlib.sha256(b"".join(a.tobytes() for a in named)).hexdigest()
+    monitors: dict[str, Monitor] = {"bounds": bounds, "kinks": tracker}
+    if steps:
+        monitors["steps"] = steps
     record = march(
-        scheme, problem, grid, cfl, {"bounds": bounds, "kinks": tracker}, progress, tracker.happened,
+        scheme, problem, grid, cfl,
+        monitors, progress, tracker.happened,
         keeper, case | {"data": data, "strict": strict},
     )  # fmt: skip
     kinks, events = tracker.result(record.times)
+    vertical_steps = None
+    if steps:
+        vertical_steps, more = steps.result()
+        # on a grid nothing tells of which kink a step has come: steps are numbered after all kinks
+        above = max([k.kink for k in kinks] + [e.kink for e in events], default=0)
+        vertical_steps = [s._replace(step=s.step + above) for s in vertical_steps]
+        more = [e._replace(kink=e.kink + above, into=e.into and e.into + above) for e in more]
+        events = sorted(events + more, key=lambda e: (e.time, e.kink))
     u = record.W
     u += grid.nodes
     return Run(
@@ -201,6 +230,7 @@ def _solve(
         wall_seconds=record.wall_seconds,
         kinks=kinks,
         events=events,
+        vertical_steps=vertical_steps,
         bounds=bounds.bounds,
         eroded_volume=bounds.eroded_volume,
         outflow=bounds.outflow,

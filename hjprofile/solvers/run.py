@@ -96,8 +96,18 @@ class KinkRecord(NamedTuple):
     rankine_hugoniot_speed: float
 
 
+class VerticalStep(NamedTuple):
+    """A jump of u by `height` at one snapshot, under a law of linear growth (theory, §14)."""
+
+    time: float
+    step: int
+    x: float
+    height: float
+    speed: float
+
+
 class Event(NamedTuple):
-    """`birth`, `merge` (of `kink` into `into`) or `exit` of a kink."""
+    """`birth`, `merge` (of `kink` into `into`), `exit` or `blow-up` (it becomes a vertical step) of a kink."""
 
     time: float
     event: str
@@ -143,6 +153,8 @@ class Run:
         steps, step_range: number of time steps, least and largest.
         wall_seconds: of the time stepping alone; compilation, monitoring and output apart.
         kinks, events: the kinks at the saved times; births, merges and exits.
+        vertical_steps: the jumps of u at the saved times, numbered as the kinks that they come from; None where the
+            law has none.
         bounds: name -> Verdict for each a-priori fact and budget that was watched.
         eroded_volume: ∫(u(0,x) - u(t,x)) dx at the end.
         outflow: ∫F(x = 0) dt at the end: excess slope that has left at the top.
@@ -167,6 +179,7 @@ class Run:
     wall_seconds: float = 0.0
     kinks: Sequence[KinkRecord] = ()
     events: Sequence[Event] = ()
+    vertical_steps: Sequence[VerticalStep] | None = None
     bounds: Mapping[str, Verdict] = field(default_factory=dict)
     eroded_volume: float = np.nan
     outflow: float = np.nan
@@ -191,3 +204,7 @@ class Run:
     def kinks_at(self, index: int) -> list[KinkRecord]:
         """The kinks at the saved time `self.time[index]`, from left to right."""
         return [k for k in self.kinks if k.time == self.time[index]]
+
+    def steps_at(self, index: int) -> list[VerticalStep]:
+        """The vertical steps at the saved time `self.time[index]`, from left to right."""
+        return [s for s in self.vertical_steps or () if s.time == self.time[index]]

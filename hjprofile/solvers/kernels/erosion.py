@@ -40,6 +40,16 @@ class Tabulated(NamedTuple):
     first: int
 
 
+class Linear(NamedTuple):
+    """The same table, of a law of linear growth: f Δx is not small where the profile jumps (theory, §14)."""
+
+    c0: np.ndarray
+    c1: np.ndarray
+    c2: np.ndarray
+    d1: np.ndarray
+    first: int
+
+
 @intrinsic
 def _bits(typing_context, number):
     """The bits of a double as an integer."""

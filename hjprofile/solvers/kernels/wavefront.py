@@ -16,7 +16,16 @@ import numpy as np
 from numba.extending import overload
 
 from hjprofile.solvers.kernels import vectorised
-from hjprofile.solvers.kernels.erosion import LANES, eroded, eroded_with_mean, is_table, read, read_f, slope_at_zero
+from hjprofile.solvers.kernels.erosion import (
+    LANES,
+    Linear,
+    eroded,
+    eroded_with_mean,
+    is_table,
+    read,
+    read_f,
+    slope_at_zero,
+)
 from hjprofile.solvers.kernels.grid import FLOOR_SHARE
 
 
@@ -78,6 +87,26 @@ def fine_growth(z):
     """The same to fourth order, for the second-order scheme: where grains settle fast, z³ is not small beside it."""
     z = max(z, -1.0)
     return 1.0 + z * (1.0 + z * (0.5 + z * (1.0 / 6.0 + z * (1.0 / 24.0))))
+
+
+def thickening(law, z):
+    """K_{i-1}/K_i in schemes of first order: `growth`, or e^z for a law of linear growth (theory, §14)."""
+
+
+@overload(thickening)
+def _thickening(law, z):
+    return (lambda law, z: math.exp(z)) if law.instance_class is Linear else (lambda law, z: growth(z))
+
+
+def steepest(law, z):
+    """Its derivative by z, or 1 where that is larger: what f' is multiplied by in the telescoping flux."""
+
+
+@overload(steepest)
+def _steepest(law, z):
+    if law.instance_class is Linear:
+        return lambda law, z: math.exp(max(z, 0.0))
+    return lambda law, z: 1.0 + max(z, 0.0)
 
 
 def looks_ahead(flux):
@@ -160,7 +189,7 @@ def _node_flux(flux, law, l, K, d, d_right, df_right, dx, rows):
 
         def telescoping(flux, law, l, K, d, d_right, df_right, dx, rows):
             z, df = eroded(l, d, dx, law, rows[0], rows[1])
-            return z, df, K * (growth(z) - 1.0), K * df * (1.0 + max(z, 0.0))
+            return z, df, K * (thickening(law, z) - 1.0), K * df * steepest(law, z)
 
         return telescoping
     if kind is LaxFriedrichs:
@@ -230,7 +259,7 @@ def hj_pass(W, dx, dt, levels, inflow, law, flux, factor):
             d = here - left
             z, df, F, speed = node_flux(flux, law, l, K[l], d, d_right[l], df_right[l], dx, rows)
             row[l] = here - ratio * F
-            K_left = K[l] * growth(z)
+            K_left = K[l] * thickening(law, z)
             K_left = factor_at(K_left, factor, k_left[l])
             if is_local(flux):
                 speed *= max(max(K_left, K_right[l]), K[l])
