@@ -15,10 +15,11 @@ from oracles import SteepPair, bump_blow_up, isotonic_profile, longest_step
 
 import hjprofile as hj
 from hjprofile.monitors.vertical_steps import find_steps
+from hjprofile.problem import CARRY_STEPS
 from hjprofile.problem.case import parse_case
 from hjprofile.solvers.kernels import steps as kernels
 from hjprofile.solvers.methods import METHODS
-from hjprofile.solvers.vertical_steps import CARRY_STEPS, step_law
+from hjprofile.solvers.vertical_steps import step_law
 
 LAW = hj.erosion_law(lambda q: q + q / (1 + q), derivative=lambda q: 1 + 1 / (1 + q) ** 2, growth="linear")
 POSITIONS, AMPLITUDES = [-3.0, -2.5], [3.0, 5.0]

@@ -140,6 +140,8 @@ class Problem:
         grid.check_memory(self.kept)
         self.check_line(grid)
         self.check_profile(grid)
+        if self.coefficient is not None:
+            self.coefficient.check(grid.nodes, self.end)
 
     def check_line(self, grid: Grid) -> None:
         """Raises InputError if the grid ends where the line does not."""
@@ -153,5 +155,3 @@ class Problem:
         self.profile.check(grid, self.law)
         if self.line == "whole":
             tail(self.profile, grid.right, self.law)
-        if self.coefficient is not None:
-            self.coefficient.check(grid.nodes, self.end)
