@@ -151,9 +151,9 @@ slopes = st.lists(st.floats(-0.9, 5.0), min_size=20, max_size=20)
 ln_k = st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4)
 
 
-def broken_line(values):
+def broken_line(values, left=-1.0):
     """A coefficient that is continuous and piecewise smooth, with ln k given at places; all of it grows with t."""
-    x = np.linspace(-1.0, 0.0, len(values))
+    x = np.linspace(left, 0.0, len(values))
     return hj.coefficient(lambda t, at: np.exp(np.interp(at, x, values)) * (1.0 + t))
 
 
@@ -238,10 +238,19 @@ def test_a_flux_that_grows_is_told(monkeypatch):
 def test_both_forms_agree_to_rounding(values, line, law, method):
     """The identity of §2, with a coefficient that depends on t and x."""
     profile = hj.steps(np.linspace(-3.0, 0.0, len(values) + 1), values)
-    problem = hj.Problem(law, profile, end=0.1, snapshots=3, coefficient=broken_line(line))
+    problem = hj.Problem(law, profile, end=0.1, snapshots=3, coefficient=broken_line(line, -4.0))
     runs = [solve(problem, hj.Grid(-4.0, 160), name) for name in (method, f"conservative-{method}")]
     # as without a coefficient, see test_solvers.py
     assert hj.compare(*runs).slope_max <= (1e-8 if method == "weno5" else 1e-10)
+
+
+@pytest.mark.parametrize("method", hj_form.FLUXES)
+@pytest.mark.parametrize("k", ["1 - 0.5*x", "exp(-0.3*x)*(1 + t)"])
+def test_steps_are_by_the_whole_grid(method, k):
+    """k is largest where nothing happens, which one form looks at and the other must not pass over."""
+    problem = hj.Problem(hj.rational(), hj.steady(0.5, -1.0), end=0.5, snapshots=3, coefficient=hj.coefficient(k))
+    runs = [solve(problem, hj.Grid(-2.0, 200), name) for name in (method, f"conservative-{method}")]
+    assert runs[0].steps == runs[1].steps and hj.compare(*runs).slope_max <= 1e-11
 
 
 def test_kink_paths_budgets_and_volume_are_those_of_the_coefficient():

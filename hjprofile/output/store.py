@@ -168,11 +168,8 @@ def summary(run: Run) -> dict[str, Any]:
         "kinks_at_end": len(run.kinks_at(-1)),
         "eroded_volume": run.eroded_volume,
         "outflow": run.outflow,
-        "volume_budget": {
-            "difference": run.volume_budget_error,
-            "promise": run.bounds["volume_budget"].allowance if "volume_budget" in run.bounds else None,
-        }
-        if np.isfinite(run.volume_budget_error)
+        "volume_budget": {"difference": run.volume_budget_error, "promise": run.bounds["volume_budget"].allowance}
+        if "volume_budget" in run.bounds
         else None,
         "bounds": {
             name: {"holds": b.holds, "worst_margin": b.worst_margin, "time": b.time, "x": b.x, "allowance": b.allowance}
