@@ -22,7 +22,7 @@ from hjprofile.solvers.characteristics import COARSEST, FINEST, TOLERANCE, solve
 from hjprofile.solvers.fronts import track_fronts
 from hjprofile.solvers.high_order import ORDERS
 from hjprofile.solvers.march import Scheme, march
-from hjprofile.solvers.run import Keeper, Run
+from hjprofile.solvers.run import Keeper, Monitor, Run
 from hjprofile.solvers.vertical_steps import check_growth, step_law
 
 Progress = Callable[[float], None]
@@ -169,18 +169,18 @@ def _solve(
         hj.FLUXES.get(method.removeprefix("conservative-")), strict,
     )  # fmt: skip
     steps = None
+    tracker = KinkTracker(problem.law, grid)
+    watching: dict[str, Monitor] = {"bounds": bounds, "kinks": tracker}
     if problem.law.grows_linearly:
         table = step_law(problem.law, 0.5 * (float(np.min(np.diff(scheme.W))) / grid.dx - 1.0))
         steps = StepMonitor(table, grid, problem.times, problem.law.f)
-        tracker = KinkTracker(problem.law, grid, steps.hidden)
-    else:
-        tracker = KinkTracker(problem.law, grid)
+        tracker.hidden = steps.hidden
+        watching["steps"] = steps
     case = resolved_case(problem, grid, method, cfl)
     # two runs are the same if they have the same case, and what it names is the same
     data = hashlib.sha256(scheme.W.tobytes() + problem.law.f(np.linspace(-0.9, 9.0, 100)).tobytes()).hexdigest()
     record = march(
-        scheme, problem, grid, cfl,
-        {"bounds": bounds, "kinks": tracker} | ({"steps": steps} if steps else {}), progress, tracker.happened,
+        scheme, problem, grid, cfl, watching, progress, tracker.happened,
         keeper, case | {"data": data, "strict": strict},
     )  # fmt: skip
     kinks, events = tracker.result(record.times)
