@@ -16,6 +16,8 @@ from oracles import SteepPair, bump_blow_up, isotonic_profile, longest_step
 import hjprofile as hj
 from hjprofile.monitors.vertical_steps import find_steps
 from hjprofile.problem.case import parse_case
+from hjprofile.solvers import conservation
+from hjprofile.solvers import hj as hj_form
 from hjprofile.solvers.kernels import steps as kernels
 from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.vertical_steps import CARRY_STEPS, step_law
@@ -220,6 +222,48 @@ def test_budgets_to_rounding_across_a_blow_up_and_the_two_forms():
     (left,) = [e for e in runs[0].events if e.event == "exit"]
     assert left.time == pytest.approx(pair().leave, abs=0.1)  # 0.08 on so coarse a grid, first order
     assert [e.event for e in runs[0].events if e.kink == left.kink] == ["blow-up", "exit"]
+
+
+@pytest.mark.parametrize("form", [hj_form, conservation])
+def test_the_sweeps_thicken_by_the_true_exponential(form):
+    """A step of 1.5 in one cell: K grows by e^1.5 = 4.48 across it, where 1 + z + z²/2 would say 3.63."""
+    grid = hj.Grid(-1.0, 50)
+    profile = hj.steps([-0.5 - grid.dx / 2, -0.5 + grid.dx / 2], [1.5 / grid.dx])
+    method = "telescoping" if form is hj_form else "conservative-telescoping"
+    scheme = form.scheme(hj.Problem(LAW, profile, end=1.0), grid, method)
+    scheme.evaluate()
+    speed = scheme.advance(1e-9, 1, 1.0)
+    exponent = grid.dx * float(np.sum(LAW.f(profile.q_means(grid, LAW))))
+    assert scheme.growth == pytest.approx(1e-9 * np.expm1(exponent), rel=1e-9)  # tables are good to 1e-11
+    assert speed >= np.exp(1.5) * LAW.eta0  # what bounds the step knows it as well
+
+
+def test_a_run_with_steps_goes_on_from_a_checkpoint_bit_for_bit():
+    class Keeper:
+        def __init__(self, stored=None):
+            self.stored, self.kept = stored, []
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *error):
+            return None
+
+        def recall(self, identity):
+            return self.stored
+
+        def due(self):
+            return True
+
+        def keep(self, t, memory):
+            self.kept.append({name: np.array(value) for name, value in memory.items()})
+
+    case = hj.load_case("vertical_step", {"solver.method": "telescoping", "domain.cells": 600, "time.end": 1.5})
+    keeper = Keeper()
+    whole = hj.solve_case(case, keeper=keeper)
+    rest = hj.solve_case(case, keeper=Keeper(keeper.kept[len(keeper.kept) // 2]))
+    assert np.array_equal(whole.u, rest.u) and whole.vertical_steps and whole.events
+    assert whole.vertical_steps == rest.vertical_steps and whole.events == rest.events
 
 
 def test_a_step_is_read_off_its_cell_means():
