@@ -195,7 +195,7 @@ def test_steps_on_grids_converge():
     An upwind scheme smears the slope at which a profile breaks: its error is dx ln(1/dx), as beside fans, and an order
     in dx on such grids 0.8 for the place. Measured in dx ln(1/dx): 0.95 for the place, on 600 to 4800 cells.
     """
-    end, cells = 0.9, [int(500 * 3 ** (i / 11)) for i in range(12)]
+    end, cells = 0.9, [int(500 * 2.4 ** (i / 11)) for i in range(12)]
     x, m = pair().step(end)
     places, heights = [], []
     for n in cells:
