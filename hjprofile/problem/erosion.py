@@ -120,6 +120,13 @@ class ErosionLaw:
             (self.f(gain) - gain * self.derivative(gain)) / f**2,
         )
 
+    def _R_derivative_at(self, q: Array) -> Array:
+        """R' at a single slope, of shape (1,), without the branches: a steep decay asks for it some thousand times."""
+        if abs(q[0]) <= NEAR_ZERO:
+            return self.R_derivative(q)
+        gain = np.minimum(q, FARTHEST)
+        return (self.f(gain) - gain * self.derivative(gain)) / self.f(q) ** 2
+
     def decay(self, q0: float, distance) -> Array:
         """q at `distance` >= 0 to the right of a place with q = q0, where W + R(q) is constant in x.
 
@@ -131,9 +138,10 @@ class ErosionLaw:
         from scipy.integrate import solve_ivp
 
         sign = np.sign(q0)
+        slope = self._R_derivative_at if self.grows_linearly else self.R_derivative
         asked, back = np.unique(distance, return_inverse=True)
         solution = solve_ivp(  # in ln|q|, in which the decay is nearly straight
-            lambda x, log_q: -1.0 / self.R_derivative(sign * np.exp(log_q)),
+            lambda x, log_q: -1.0 / slope(sign * np.exp(log_q)),
             (0.0, max(asked[-1], 1e-300)), [np.log(abs(q0))],
             method="DOP853", t_eval=asked, rtol=1e-13, atol=1e-13,
         )  # fmt: skip

@@ -183,24 +183,21 @@ def _solve(
         hj.FLUXES.get(method.removeprefix("conservative-")), strict, problem.coefficient, scheme.factor.refresh,
     )  # fmt: skip
     steps = None
+    tracker = KinkTracker(problem.law, grid)
+    watching: dict[str, Monitor] = {"bounds": bounds, "kinks": tracker}
     if problem.law.grows_linearly:
         table = step_law(problem.law, 0.5 * (float(np.min(np.diff(scheme.W))) / grid.dx - 1.0))
         steps = StepMonitor(table, grid, problem.times, problem.law.f)
-        tracker = KinkTracker(problem.law, grid, steps.hidden)
-    else:
-        tracker = KinkTracker(problem.law, grid)
+        tracker.hidden = steps.hidden
+        watching["steps"] = steps
     case = resolved_case(problem, grid, method, cfl, refresh=scheme.factor.refresh)
     # two runs are the same if they have the same case, and what it names is the same
     named = [scheme.W, problem.law.f(np.linspace(-0.9, 9.0, 100))]
     if problem.coefficient is not None:
         named += [problem.coefficient.values(t, grid.nodes) for t in (0.0, problem.end)]
     data = hashlib.sha256(b"".join(a.tobytes() for a in named)).hexdigest()
-    monitors: dict[str, Monitor] = {"bounds": bounds, "kinks": tracker}
-    if steps:
-        monitors["steps"] = steps
     record = march(
-        scheme, problem, grid, cfl,
-        monitors, progress, tracker.happened,
+        scheme, problem, grid, cfl, watching, progress, tracker.happened,
         keeper, case | {"data": data, "strict": strict},
     )  # fmt: skip
     kinks, events = tracker.result(record.times)
