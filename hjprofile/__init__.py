@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from hjprofile.evidence.consistency import check_consistency as check_consistency
     from hjprofile.output.store import load_run as load_run
     from hjprofile.output.store import write_run as write_run
+    from hjprofile.output.sweep import sweep as sweep
     from hjprofile.problem import Problem as Problem
     from hjprofile.problem.case import Case as Case
     from hjprofile.problem.case import load_case as load_case
@@ -50,6 +51,7 @@ _MODULES = {
     "evidence.chart": ("chart",),
     "evidence.consistency": ("check_consistency",),
     "output.store": ("load_run", "write_run"),
+    "output.sweep": ("sweep",),
     "problem": ("Problem",),
     "problem.case": ("Case", "load_case", "shipped_cases"),
     "problem.erosion": ("ErosionLaw", "erosion_law", "expression", "log", "power", "rational"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import math
 import os
 import sys
 import time
@@ -49,6 +50,14 @@ Resume = Annotated[bool, Parameter(negative="", help="Go on from the checkpoint 
 Strict = Annotated[bool, Parameter(negative="", help="Stop, as a failure, where a bound is broken.")]
 Out = Annotated[Path | None, Parameter(help="Folder for the results; results/<case name> by default.")]
 Into = Annotated[Path | None, Parameter(help="Folder for the files; the result's own by default.")]
+
+Vary = Annotated[
+    list[str], Parameter(negative="", help="A key of the case and its values: erosion.m=0.5,1,2. May be repeated.")
+]
+Workers = Annotated[
+    int | None, Parameter(converter=_whole, help="Number of processes; one for each processor by default.")
+]
+Kept = Annotated[bool, Parameter(negative="", help="Do not run again what is done in the folder for the results.")]
 
 
 @app.command
@@ -184,6 +193,26 @@ def stability(case: str, /, *, out: Out = None) -> None:
 
 
 @app.command
+def sweep(case: str, /, *, vary: Vary, workers: Workers = None, resume: Kept = False, out: Out = None) -> None:
+    """Solve a case for every choice of values of some of its keys, and write one table.
+
+    Writes sweep.csv and sweep.nc; ends with exit code 1 if no member could be solved.
+    """
+    from hjprofile.output.sweep import account
+    from hjprofile.output.sweep import sweep as run_sweep
+    from hjprofile.problem.case import find_case, read_choices
+
+    choices = read_choices(vary)
+    folder = out or Path("results") / find_case(case).stem
+    with _processes(workers, math.prod(map(len, choices.values()))) as executor, _Progress("sweeping") as progress:
+        result = run_sweep(case, choices, executor, folder, resume, progress)
+    print(account(result))
+    print(f"written to {folder}: sweep.csv, sweep.nc")
+    if not any(outcome.done for outcome in result.outcomes):
+        raise RunError(f"{case}: no member could be solved; the reasons are in {folder / 'sweep.csv'}")
+
+
+@app.command
 def plot(result: Path, /, *, out: Into = None) -> None:
     """Draw the pictures of a result folder again, into it or into another folder."""
     from hjprofile.output.plots import pictures
@@ -247,7 +276,37 @@ def _helper(wanted: bool) -> Iterator[Executor | None]:
         yield helper
 
 
+@contextmanager
+def _processes(workers: int | None, most: int) -> Iterator[Executor]:
+    """Workers for a sweep, each a process begun anew: a fork takes locks along that nobody will open."""
+    import multiprocessing
+    import signal
+    from concurrent.futures import ProcessPoolExecutor
+
+    if workers is not None and workers < 1:
+        raise InputError(f"--workers {workers} must be 1 or more")
+    own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    count = min(workers or own, most)
+    with ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _ward, (os.getpid(),)) as executor:
+        try:
+            heeded = signal.signal(signal.SIGINT, signal.SIG_IGN)  # they inherit that
+            for _ in range(count):
+                executor.submit(int)  # so that they start now
+            signal.signal(signal.SIGINT, heeded)
+            yield executor
+        except BaseException:
+            for process in multiprocessing.active_children():
+                process.terminate()  # what they are at would only be thrown away
+            raise
+
+
 def _prepare(parent: int) -> None:
+    _ward(parent)
+    import hjprofile.output.plots  # noqa: F401
+
+
+def _ward(parent: int) -> None:
+    """A process that heeds no interrupt and leaves with its parent."""
     import signal
     import threading
 
@@ -258,7 +317,6 @@ def _prepare(parent: int) -> None:
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent has a sentence for it
     threading.Thread(target=leave_with_parent, daemon=True).start()
-    import hjprofile.output.plots  # noqa: F401
 
 
 def _cases(names: tuple[str, ...], out: Path | None) -> tuple[Path, list[Case]]:
