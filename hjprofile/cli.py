@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import gc
-import math
 import os
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -18,8 +15,6 @@ import hjprofile
 from hjprofile.errors import InputError, RunError
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
     from hjprofile.evidence.consistency import Check
     from hjprofile.problem.case import Case
     from hjprofile.solvers.run import Run
@@ -80,6 +75,7 @@ def run(
     """
     from hjprofile.output.checkpoint import Checkpoint
     from hjprofile.output.store import open_folder, write_run
+    from hjprofile.output.workers import drawing_helper
     from hjprofile.problem.case import load_case
 
     if tolerance is not None and method is None:
@@ -88,7 +84,7 @@ def run(
     asked = solver | {"domain.cells": cells, "time.end": end}
     loaded = load_case(case, {key: value for key, value in asked.items() if value is not None})
     folder = out or Path("results") / loaded.name
-    with _helper(loaded.plots) as helper:
+    with drawing_helper(loaded.plots) as helper:
         from hjprofile.solvers.methods import check_method, solve_case
 
         check_method(loaded)
@@ -200,11 +196,12 @@ def sweep(case: str, /, *, vary: Vary, workers: Workers = None, resume: Kept = F
     """
     from hjprofile.output.sweep import account
     from hjprofile.output.sweep import sweep as run_sweep
+    from hjprofile.output.workers import processes
     from hjprofile.problem.case import find_case, read_choices
 
     choices = read_choices(vary)
     folder = out or Path("results") / find_case(case).stem
-    with _processes(workers, math.prod(map(len, choices.values()))) as executor, _Progress("sweeping") as progress:
+    with processes(workers) as executor, _Progress("sweeping") as progress:
         result = run_sweep(case, choices, executor, folder, resume, progress)
     print(account(result))
     print(f"written to {folder}: sweep.csv, sweep.nc")
@@ -257,66 +254,6 @@ def cases() -> None:
     width = max(map(len, shipped), default=0)
     for name, path in shipped.items():
         print(f"{name:{width}}  {tomllib.loads(path.read_text(encoding='utf-8')).get('title', '')}")
-
-
-@contextmanager
-def _helper(wanted: bool) -> Iterator[Executor | None]:
-    """A process that draws pictures: it loads what that takes while this one solves. None where it would not help."""
-    import threading
-
-    alone = hasattr(os, "fork") and threading.active_count() == 1  # a fork beside other threads may hang
-    if not (wanted and alone and (os.cpu_count() or 1) > 1):
-        yield None
-        return
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor
-
-    with ProcessPoolExecutor(1, multiprocessing.get_context("fork"), _prepare, (os.getpid(),)) as helper:
-        helper.submit(int)  # so that it starts now
-        yield helper
-
-
-@contextmanager
-def _processes(workers: int | None, most: int) -> Iterator[Executor]:
-    """Workers for a sweep, each a process begun anew: a fork takes locks along that nobody will open."""
-    import multiprocessing
-    import signal
-    from concurrent.futures import ProcessPoolExecutor
-
-    if workers is not None and workers < 1:
-        raise InputError(f"--workers {workers} must be 1 or more")
-    own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    count = min(workers or own, most)
-    with ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _ward, (os.getpid(),)) as executor:
-        try:
-            heeded = signal.signal(signal.SIGINT, signal.SIG_IGN)  # they inherit that
-            for _ in range(count):
-                executor.submit(int)  # so that they start now
-            signal.signal(signal.SIGINT, heeded)
-            yield executor
-        except BaseException:
-            for process in multiprocessing.active_children():
-                process.terminate()  # what they are at would only be thrown away
-            raise
-
-
-def _prepare(parent: int) -> None:
-    _ward(parent)
-    import hjprofile.output.plots  # noqa: F401
-
-
-def _ward(parent: int) -> None:
-    """A process that heeds no interrupt and leaves with its parent."""
-    import signal
-    import threading
-
-    def leave_with_parent() -> None:
-        while os.getppid() == parent:
-            time.sleep(1.0)
-        os._exit(1)  # it was killed: nobody else would tell
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent has a sentence for it
-    threading.Thread(target=leave_with_parent, daemon=True).start()
 
 
 def _cases(names: tuple[str, ...], out: Path | None) -> tuple[Path, list[Case]]:

@@ -229,6 +229,7 @@ def run_members(todo: Mapping[int, Member], executor: Executor | None = None) ->
                 outcome = Outcome(f"{type(error).__name__}: {error}")
             yield futures.pop(future), outcome
     except BrokenExecutor:
+        futures.clear()  # none of them will begin
         raise RunError(
             "a worker was lost, perhaps because memory was not enough; use fewer workers, cells or snapshots"
         ) from None

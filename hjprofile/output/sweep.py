@@ -98,7 +98,7 @@ def sweep(
         if not kept:
             raise
         done = sum(outcome.done for outcome in outcomes.values())
-        what = f"{error or 'interrupted'}; {done} of {len(made)} members are kept in {kept}"
+        what = f"{str(error) or 'interrupted'}; {done} of {len(made)} members are kept in {kept}"
         raise RunError(f"{what}, and --resume goes on from there") from None
     grids = {m.grid for m in made if m.grid}
     title = made[0].content.get("title", made[0].name)
