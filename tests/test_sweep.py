@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -120,12 +120,28 @@ def test_the_steady_slope_over_flux_and_end(in_tmp):
     flux, end = np.linspace(0.2, 0.5, 3), np.array([0.5, 1.0])
     cells = [200, 400]
     result = hj.sweep(case, {"profile.flux": flux, "time.end": end, "domain.cells": cells})
-    exact = np.multiply.outer(flux, end)
-    for name, factor, most in (("outflow", 1.0, 1.4e-3), ("eroded_volume", 4.0, 2.2e-3)):
-        errors = np.abs(result.quantity(name) - factor * exact[..., None]).max(axis=(0, 1))
-        assert 0.9 <= hj.observed_order(cells, errors) <= 1.1  # a monotone scheme on smooth data
-        assert errors[-1] <= most  # measured 1.16e-3 and 1.85e-3
+    sunk, foot = np.multiply.outer(flux, end), flux / (1.0 + 4.0 * flux)  # the second is f at the left end
+    exact = {
+        "outflow": (sunk, 1.4e-3),  # and what was measured: 1.16e-3
+        "eroded_volume": (4.0 * sunk, 2.2e-3),  # 1.85e-3
+        "K_foot": ((1.0 + 4.0 * flux)[:, None], 2.0e-3),  # 1.70e-3
+        "q_max": ((flux / (1.0 - flux))[:, None], 5.5e-3),  # 4.65e-3
+        "q_min": ((foot / (1.0 - foot))[:, None], 4e-4),  # 3.3e-4
+    }
+    for name, (values, most) in exact.items():
+        errors = np.abs(result.quantity(name) - values[..., None]).max(axis=(0, 1))
+        assert 0.9 <= hj.observed_order(cells, errors) <= 1.1, name  # a monotone scheme on smooth data
+        assert errors[-1] <= most, name
     assert result.quantity("kinks_at_end").max() == 0
+
+
+@pytest.mark.parametrize("name", hj.shipped_cases())
+def test_every_shipped_case_can_be_swept(name, in_tmp):
+    vary = {"time.end": [0.01, 0.02], "time.snapshots": [2], "domain.cells": [100], "solver.cfl": [0.5]}
+    result = hj.sweep(name, vary, folder="out")
+    assert [o.status for o in result.outcomes] == ["done"] * 2
+    assert result.quantity("end").ravel().tolist() == [0.01, 0.02]
+    assert hj.sweep(name, vary, folder="out", resume=True).recalled == 2
 
 
 def dask_executor():
@@ -134,8 +150,23 @@ def dask_executor():
     return distributed.Client(cluster), cluster
 
 
+class Backwards(Executor):
+    """Runs nothing before the last member is there, and then that one first."""
+
+    def __init__(self):
+        self.tasks = []
+
+    def submit(self, function, /, *arguments):
+        self.tasks.append((Future(), function, arguments))
+        if len(self.tasks) == COUNT:
+            for future, function, arguments in reversed(self.tasks):
+                future.set_result(function(*arguments))
+        return self.tasks[-1][0]
+
+
 def test_bytes_do_not_depend_on_who_runs_them(scene):
     alone = netcdf(hj.sweep(scene, VARY))
+    assert netcdf(hj.sweep(scene, VARY, Backwards())) == alone
     with ThreadPoolExecutor(3) as threads:
         assert netcdf(hj.sweep(scene, VARY, threads)) == alone
     with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as processes:
