@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from hjprofile.evidence.slow_erosion import slow_erosion as slow_erosion
     from hjprofile.output.store import load_run as load_run
     from hjprofile.output.store import write_run as write_run
+    from hjprofile.output.sweep import sweep as sweep
     from hjprofile.problem import Problem as Problem
     from hjprofile.problem.case import Case as Case
     from hjprofile.problem.case import load_case as load_case
@@ -55,6 +56,7 @@ _MODULES = {
     "evidence.consistency": ("check_consistency",),
     "evidence.slow_erosion": ("slow_erosion",),
     "output.store": ("load_run", "write_run"),
+    "output.sweep": ("sweep",),
     "problem": ("Problem",),
     "problem.case": ("Case", "load_case", "shipped_cases"),
     "problem.coefficient": ("Coefficient", "coefficient", "stored_coefficient"),

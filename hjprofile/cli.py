@@ -6,8 +6,6 @@ import gc
 import os
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -17,8 +15,6 @@ import hjprofile
 from hjprofile.errors import InputError, RunError
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
     from hjprofile.evidence.consistency import Check
     from hjprofile.problem.case import Case
     from hjprofile.solvers.run import Run
@@ -50,6 +46,14 @@ Strict = Annotated[bool, Parameter(negative="", help="Stop, as a failure, where 
 Out = Annotated[Path | None, Parameter(help="Folder for the results; results/<case name> by default.")]
 Into = Annotated[Path | None, Parameter(help="Folder for the files; the result's own by default.")]
 
+Vary = Annotated[
+    list[str], Parameter(negative="", help="A key of the case and its values: erosion.m=0.5,1,2. May be repeated.")
+]
+Workers = Annotated[
+    int | None, Parameter(converter=_whole, help="Number of processes; one for each processor by default.")
+]
+Kept = Annotated[bool, Parameter(negative="", help="Do not run again what is done in the folder for the results.")]
+
 
 @app.command
 def run(
@@ -71,6 +75,7 @@ def run(
     """
     from hjprofile.output.checkpoint import Checkpoint
     from hjprofile.output.store import open_folder, write_run
+    from hjprofile.output.workers import drawing_helper
     from hjprofile.problem.case import load_case
 
     if tolerance is not None and method is None:
@@ -79,7 +84,7 @@ def run(
     asked = solver | {"domain.cells": cells, "time.end": end}
     loaded = load_case(case, {key: value for key, value in asked.items() if value is not None})
     folder = out or Path("results") / loaded.name
-    with _helper(loaded.plots) as helper:
+    with drawing_helper(loaded.plots) as helper:
         from hjprofile.solvers.methods import check_method, solve_case
 
         check_method(loaded)
@@ -209,6 +214,27 @@ def dependence(case: str, /, *, out: Out = None) -> None:
 
 
 @app.command
+def sweep(case: str, /, *, vary: Vary, workers: Workers = None, resume: Kept = False, out: Out = None) -> None:
+    """Solve a case for every choice of values of some of its keys, and write one table.
+
+    Writes sweep.csv and sweep.nc; ends with exit code 1 if no member could be solved.
+    """
+    from hjprofile.output.sweep import account
+    from hjprofile.output.sweep import sweep as run_sweep
+    from hjprofile.output.workers import processes
+    from hjprofile.problem.case import find_case, read_choices
+
+    choices = read_choices(vary)
+    folder = out or Path("results") / find_case(case).stem
+    with processes(workers) as executor, _Progress("sweeping") as progress:
+        result = run_sweep(case, choices, executor, folder, resume, progress)
+    print(account(result))
+    print(f"written to {folder}: sweep.csv, sweep.nc")
+    if not any(outcome.done for outcome in result.outcomes):
+        raise RunError(f"{case}: no member could be solved; the reasons are in {folder / 'sweep.csv'}")
+
+
+@app.command
 def plot(result: Path, /, *, out: Into = None) -> None:
     """Draw the pictures of a result folder again, into it or into another folder."""
     from hjprofile.output.plots import pictures
@@ -253,37 +279,6 @@ def cases() -> None:
     width = max(map(len, shipped), default=0)
     for name, path in shipped.items():
         print(f"{name:{width}}  {tomllib.loads(path.read_text(encoding='utf-8')).get('title', '')}")
-
-
-@contextmanager
-def _helper(wanted: bool) -> Iterator[Executor | None]:
-    """A process that draws pictures: it loads what that takes while this one solves. None where it would not help."""
-    import threading
-
-    alone = hasattr(os, "fork") and threading.active_count() == 1  # a fork beside other threads may hang
-    if not (wanted and alone and (os.cpu_count() or 1) > 1):
-        yield None
-        return
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor
-
-    with ProcessPoolExecutor(1, multiprocessing.get_context("fork"), _prepare, (os.getpid(),)) as helper:
-        helper.submit(int)  # so that it starts now
-        yield helper
-
-
-def _prepare(parent: int) -> None:
-    import signal
-    import threading
-
-    def leave_with_parent() -> None:
-        while os.getppid() == parent:
-            time.sleep(1.0)
-        os._exit(1)  # it was killed: nobody else would tell
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent has a sentence for it
-    threading.Thread(target=leave_with_parent, daemon=True).start()
-    import hjprofile.output.plots  # noqa: F401
 
 
 def _cases(names: tuple[str, ...], out: Path | None) -> tuple[Path, list[Case]]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import difflib
+import re
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -210,17 +212,46 @@ def load_case(path: str | Path, overrides: Mapping[str, Any] | None = None) -> C
     key, value and what is allowed.
     """
     path = find_case(path)
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
-    except (ValueError, RecursionError) as error:  # beside bad syntax: integers of thousands of digits, deep nesting
-        raise InputError(f"{path}: not valid TOML: {error}") from None
+    content = read_case(path)
     for dotted, value in (overrides or {}).items():
         section, key = dotted.split(".")
         if isinstance(content.setdefault(section, {}), dict):
             content[section][key] = value
     return parse_case(content, name=path.stem, source=str(path), base=path.parent)
+
+
+def read_case(path: Path) -> dict[str, Any]:
+    """The tables of a case file, unchecked. Raises InputError if it cannot be read or is not TOML."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from None
+    except (ValueError, RecursionError) as error:  # beside bad syntax: integers of thousands of digits, deep nesting
+        raise InputError(f"{path}: not valid TOML: {error}") from None
+
+
+def read_choices(arguments: Sequence[str]) -> dict[str, list[Any]]:
+    """Dotted key -> values, from texts as `erosion.m=0.5,1,2`: values as TOML writes them, or plain words for strings.
+
+    Raises InputError.
+    """
+    choices: dict[str, list[Any]] = {}
+    for argument in arguments:
+        key, equals, text = argument.partition("=")
+        if not equals:
+            raise InputError(f"{argument!r} must be written section.key=value,value,...")
+        if key in choices:
+            raise InputError(f"{key} is there twice; name all its values at once")
+        word = r"(?<=,)\s*(?!(?:true|false|inf|nan)\s*,)([A-Za-z][\w./-]*)\s*(?=,)"
+        for array in (text, re.sub(word, r'"\1"', f",{text},")[1:-1]):
+            with suppress(ValueError, RecursionError):
+                content = tomllib.loads(f"values = [{array}]")
+                if len(content) == 1 and content["values"]:
+                    choices[key] = content["values"]
+                    break
+        else:
+            raise InputError(f"{argument!r} must have values as TOML writes them, or plain words, with commas between")
+    return choices
 
 
 @np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks refuse

@@ -1,0 +1,238 @@
+"""Many runs of one case: the members of a product of values, each by itself, over any executor."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator, Mapping
+from concurrent.futures import BrokenExecutor, Executor, as_completed
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import hjprofile
+from hjprofile.errors import InputError, RunError
+from hjprofile.problem.case import Case, find_case, parse_case, read_case
+from hjprofile.problem.grid import Grid
+from hjprofile.solvers.methods import check_method, solve_case
+from hjprofile.solvers.run import Array, Run
+
+MOST = 100_000  # members; each is built before the first is run
+_UNREAD = ("title", "output", "expect")  # what of a case does not change its run
+
+QUANTITIES = {  # name -> what it is
+    "end": "last saved time, mass of grains poured in",
+    "cells": "cells of the grid",
+    "steps": "time steps",
+    "eroded_volume": "integral of u(0,x) - u(end,x)",
+    "volume_budget_error": "most by which the eroded volume ever differed from the grains gained at the foot",
+    "outflow": "excess slope that has left at the top, by which the top was lowered",
+    "largest_lowering": "largest u(0,x) - u(end,x)",
+    "largest_rise": "largest u(end,x) - u(0,x)",
+    "q_min": "least excess slope at the end, mean over a cell",
+    "q_max": "largest excess slope at the end, mean over a cell",
+    "K_foot": "nonlocal factor at the left end at the end: thickening of the avalanche",
+    "kinks_at_end": "kinks at the end",
+    "births": "births of kinks",
+    "merges": "merges of kinks",
+    "exits": "exits of kinks at the top",
+    "kink_x": "where the strongest kink is at the end",
+    "kink_jump": "jump of q over the strongest kink at the end",
+    "error_estimate": "of u over all saved times, where the method knows one",
+}
+
+
+class Member(NamedTuple):
+    """One run of a sweep, as it is sent to whoever runs it: plain values only.
+
+    Attributes:
+        values: one for each key that is varied.
+        content: the tables of the case, with these values in them.
+        name, source, base: of the case file: its name, its path, the folder to which paths in it are relative.
+        grid: of the case; None if it was refused.
+        identity: tells it from every other run: a hash of the case and of the data that it names.
+        refused: why there is no such case, or "".
+    """
+
+    values: tuple[Any, ...]
+    content: Mapping[str, Any]
+    name: str
+    source: str
+    base: Path
+    grid: Grid | None = None
+    identity: str = ""
+    refused: str = ""
+
+
+class Outcome(NamedTuple):
+    """What came of a member.
+
+    Attributes:
+        status: "done", or a sentence that says why not; then there are no numbers.
+        method: that solved it.
+        quantities: by the names in QUANTITIES; NaN where there is none.
+        broken_bounds: names of the bounds that did not hold, with a space between them.
+        wall_seconds: of the time stepping alone.
+        u: height at the last saved time, shape (cells + 1,).
+    """
+
+    status: str
+    method: str = ""
+    quantities: Mapping[str, float] = {}
+    broken_bounds: str = ""
+    wall_seconds: float = np.nan
+    u: Array | None = None
+
+    @property
+    def done(self) -> bool:
+        return self.status == "done"
+
+
+def members(case: str | Path, vary: Mapping[str, list[Any]]) -> list[Member]:
+    """A member for each choice of values, the last key varying fastest; each is built and checked.
+
+    Raises InputError for a key that cannot be varied, and for a value that no member can use. A member whose values
+    do not go together is returned with the reason in `refused`.
+    """
+    path = find_case(case)
+    content = read_case(path)
+    if not vary:
+        raise InputError("a sweep varies at least one key of the case, as in erosion.m=0.5,1,2")
+    for key, values in vary.items():
+        section, dot, name = key.partition(".")
+        if not (section and dot and name) or "." in name:
+            raise InputError(f"{key!r} is not a key of a case; it is written section.key, as in erosion.m")
+        if section in _UNREAD or not isinstance(content.get(section, {}), dict):
+            raise InputError(f"{key} cannot be varied: it does not change a run")
+        if not values:
+            raise InputError(f"{key} needs one value or more")
+    count = math.prod(map(len, vary.values()))
+    if count > MOST:
+        raise InputError(f"the values make {count} members; a sweep has at most {MOST}")
+    made, usable = [], [set[int]() for _ in vary]
+    for places in product(*(range(len(values)) for values in vary.values())):
+        chosen = [values[i] for values, i in zip(vary.values(), places, strict=True)]
+        made.append(_member(path, content, dict(zip(vary, chosen, strict=True))))
+        if not made[-1].refused:
+            for used, i in zip(usable, places, strict=True):
+                used.add(i)
+    for column, ((key, values), used) in enumerate(zip(vary.items(), usable, strict=True)):
+        for i, value in enumerate(values):
+            if i not in used:
+                raise InputError(next(m.refused for m in made if m.values[column] == value))
+        if len({text_of(value) for value in values}) < len(values):
+            raise InputError(f"{key} has a value twice: {', '.join(map(text_of, values))}")
+    return made
+
+
+def text_of(value: Any) -> str:
+    """A value as a table shows it: a string as it is, a list as TOML writes it, a number as short as it can be."""
+    if isinstance(value, str):
+        return value
+    number = isinstance(value, float) and value.is_integer() and abs(value) < 1e15
+    return json.dumps(int(value) if number else value)
+
+
+def _member(path: Path, content: Mapping[str, Any], values: Mapping[str, Any]) -> Member:
+    tables = {name: dict(table) if isinstance(table, dict) else table for name, table in content.items()}
+    for key, value in values.items():
+        section, name = key.split(".")
+        tables.setdefault(section, {})[name] = value
+    member = Member(tuple(values.values()), tables, path.stem, str(path), path.resolve().parent)
+    try:
+        case = parse_case(tables, path.stem, str(path), member.base)
+        check_method(case)
+    except InputError as error:
+        return member._replace(refused=str(error))
+    return member._replace(grid=case.grid, identity=_identity(tables, case))
+
+
+@np.errstate(all="ignore")
+def _identity(tables: Mapping[str, Any], case: Case) -> str:
+    """A hash of what the case says and of what the files in it hold: heights and law, wherever they come from."""
+    said = {name: table for name, table in tables.items() if name not in _UNREAD} | {"hjprofile": hjprofile.__version__}
+    law, profile = case.problem.law, case.problem.profile
+    data = (profile.W(case.grid.nodes, law), law.f(np.linspace(-0.9, 9.0, 100)))
+    text = json.dumps(said, sort_keys=True, default=str).encode()
+    return hashlib.sha256(text + b"".join(d.tobytes() for d in data)).hexdigest()
+
+
+def run_member(member: Member) -> Outcome:
+    """Solves one member by its case's own method. Whatever goes wrong is its status: others go on."""
+    try:
+        case = parse_case(member.content, member.name, member.source, member.base)
+        run = solve_case(case)
+    except MemoryError:
+        return Outcome("the machine's memory is not enough; use fewer workers, cells or snapshots")
+    except (InputError, RunError) as error:
+        return Outcome(str(error))
+    except Exception as error:  # a user's law may raise anything
+        return Outcome(f"{type(error).__name__}: {error}")
+    if not run.done:
+        return Outcome(run.status, run.method)
+    broken = " ".join(name for name, bound in run.bounds.items() if not bound.holds)
+    return Outcome("done", run.method, _quantities(case, run), broken, run.wall_seconds, run.u[-1].copy())
+
+
+def _quantities(case: Case, run: Run) -> dict[str, float]:
+    with np.errstate(all="ignore"):  # far from a narrow bump
+        lowered = run.x + case.problem.profile.W(run.x, case.problem.law) - run.u[-1]
+    left = run.kinks_at(-1)
+    strongest = max(left, key=lambda kink: kink.jump, default=None)
+    events = [event.event for event in run.events]
+    numbers: dict[str, Any] = {
+        "end": run.time[-1],
+        "cells": run.cells,
+        "steps": run.steps,
+        "eroded_volume": run.eroded_volume,
+        "volume_budget_error": run.volume_budget_error,
+        "outflow": run.outflow,
+        "largest_lowering": max(lowered.max(), 0.0),
+        "largest_rise": max(-lowered.min(), 0.0),
+        "q_min": run.q[-1].min(),
+        "q_max": run.q[-1].max(),
+        "K_foot": run.K[-1, 0],
+        "kinks_at_end": len(left),
+        "births": events.count("birth"),
+        "merges": events.count("merge"),
+        "exits": events.count("exit"),
+        "kink_x": strongest.x if strongest else np.nan,
+        "kink_jump": strongest.jump if strongest else np.nan,
+        "error_estimate": np.nan if run.error_estimate is None else run.error_estimate,
+    }
+    return {name: float(numbers[name]) for name in QUANTITIES}
+
+
+def run_members(todo: Mapping[int, Member], executor: Executor | None = None) -> Iterator[tuple[int, Outcome]]:
+    """Runs members over an executor, or one after another without one; yields each with its number when it is done.
+
+    Any executor of the standard protocol will do, with workers on this machine or on others. Raises RunError if its
+    workers are lost. Members that have not begun are cancelled when whoever asks stops asking.
+    """
+    if executor is None:
+        for number, member in todo.items():
+            yield number, run_member(member)
+        return
+    futures: dict[Any, int] = {}
+    try:
+        for number, member in todo.items():
+            futures[executor.submit(run_member, member)] = number
+        for future in as_completed(futures):
+            try:
+                outcome = future.result()
+            except BrokenExecutor:
+                raise
+            except Exception as error:  # the member was lost on its way there or back
+                outcome = Outcome(f"{type(error).__name__}: {error}")
+            yield futures.pop(future), outcome
+    except BrokenExecutor:
+        futures.clear()  # none of them will begin
+        raise RunError(
+            "a worker was lost, perhaps because memory was not enough; use fewer workers, cells or snapshots"
+        ) from None
+    finally:
+        for future in futures:
+            future.cancel()
