@@ -33,7 +33,7 @@ SCENE = {
     "time": {"end": 4.0, "snapshots": 5},
 }
 BARE = {"output": {"vtk": False, "plots": False}}
-COMMANDS = ("run", "check", "chart", "stability", "plot", "export", "cases")
+COMMANDS = ("run", "check", "chart", "stability", "fit", "plot", "export", "cases")
 
 
 def write_case(folder, name="scene", **changes):

@@ -20,11 +20,13 @@ from hjprofile.problem.profiles import Units
 from hjprofile.solvers.fronts import heights_at_end
 from hjprofile.solvers.run import Array
 
-FRONTS = 800  # on the hillslope: heights to 2 cm r.m.s. of 650 m, in 0.05 s
-STEP = 5e-3  # of a central difference in a logarithm; from 3e-3 to 1e-2 derivatives on the hillslope agree to 1 %
+FRONTS = 800  # of the heights: on the hillslope to 2 cm r.m.s. of 650 m
+SLOPE_FRONTS = 400  # of their derivatives: with STEP they differ there by 1 % from those of 1600
+STEP = 3e-3  # of a central difference in a logarithm: larger ones carry kinks past points, smaller ones bring noise
 RESOLVED = 0.01  # singular values below this part of the largest are no better known than the derivatives are
-WIDEST = float(np.log(10.0))  # an interval that reaches further than a factor of ten says nothing
+WIDEST = float(np.log(3.0))  # an interval that reaches further than a factor of three: no longer linear in between
 IMPROBABLE = 1e-3  # probability below which chi² is called too large
+ENOUGH = 1e-6  # relative change of chi², or of the parameters, at which a fit stops: hundredths of a standard error
 MOST_STEPS = 60
 FARTHEST = float(np.log(1e6))  # from the starting values that a trial may go
 SECTIONS = "erosion", "profile", "time"
@@ -82,6 +84,7 @@ class Calibration:
 
     @property
     def degrees_of_freedom(self) -> int:
+        """Points less parameters."""
         return self.x.size - len(self.parameters)
 
 
@@ -119,14 +122,15 @@ class _Model:
             left *= self.units.length / values.get("profile.length", self.units.length)
         return values | {"domain.left": left, "time.snapshots": 1}
 
-    def heights(self, z: Array, x: Array, end: float | None = None) -> Array:
-        """Heights at x once everything is poured in, or at another `end`, both in the survey's units."""
+    @np.errstate(all="ignore")  # a trial far off may leave the range of numbers: InputError or RunError say so
+    def heights(self, z: Array, x: Array, end: float | None = None, fronts: int = 0) -> Array:
+        """Heights at x, in the survey's units, at the end or at another time `end`."""
         self.evaluations += 1
         changed = self.overrides(z) | ({} if end is None else {"time.end": end})
         case = load_case(self.path, changed)
         units = case.problem.profile.units or self.units
         place = np.clip((x - units.x_top) / units.length, case.grid.left, 0.0)
-        return units.height(heights_at_end(case.problem, case.grid.left, place, FRONTS))
+        return units.height(heights_at_end(case.problem, case.grid.left, place, fronts or FRONTS))
 
     def residuals(self, z: Array, x: Array, measured: Array) -> Array:
         """Modelled less measured heights; infinite where the model has no solution, from which the fit steps back."""
@@ -139,8 +143,11 @@ class _Model:
 
     def jacobian(self, z: Array, x: Array) -> Array:
         """∂heights/∂z by central differences, shape (points, parameters)."""
-        steps = STEP * np.eye(z.size)
-        return np.stack([(self.heights(z + h, x) - self.heights(z - h, x)) / (2.0 * STEP) for h in steps], axis=1)
+        ahead, back = (
+            np.stack([self.heights(z + h, x, fronts=SLOPE_FRONTS) for h in sign * STEP * np.eye(z.size)], axis=1)
+            for sign in (1.0, -1.0)
+        )
+        return (ahead - back) / (2.0 * STEP)
 
     def log_volume(self) -> Array:
         """d ln(length² critical_slope end)/dz."""
@@ -164,9 +171,7 @@ def _resolved(case: Case) -> dict[str, Any]:
     return resolved_case(case.problem, case.grid, case.method, case.cfl, case.tolerance)
 
 
-def fit(
-    case: str | Path, x: Array, height: Array, vary: Sequence[str], sigma: float | None = None
-) -> Calibration:
+def fit(case: str | Path, x: Array, height: Array, vary: Sequence[str], sigma: float | None = None) -> Calibration:
     """Fits parameters of a case so that its profile at `time.end` meets the surveyed points (x, height).
 
     The case's own profile is the survey before. `vary` names positive numbers of its sections [erosion], [profile] and
@@ -188,7 +193,8 @@ def fit(
     if not (x.ndim == 1 and x.shape == height.shape and np.all(np.isfinite([x, height])) and np.all(np.diff(x) > 0)):
         raise InputError("the survey after must be two lists of as many finite numbers, x increasing")
     first, last = _ends(model)
-    on = (x >= first) & (x <= last)
+    hair = 1e-9 * (last - first)  # the ends have been divided by the length and multiplied again
+    on = (x >= first - hair) & (x <= last + hair)
     at, measured = x[on], height[on]
     if at.size <= len(model.names):
         raise InputError(
@@ -200,7 +206,7 @@ def fit(
     unit = sigma or 1.0
     found = least_squares(
         lambda z: model.residuals(z, at, measured) / unit, zero, lambda z: model.jacobian(z, at) / unit,
-        max_nfev=MOST_STEPS,
+        ftol=ENOUGH, xtol=ENOUGH, max_nfev=MOST_STEPS,
     )  # fmt: skip
     z, residual = found.x, unit * found.fun
     if found.status < 1:
@@ -253,7 +259,8 @@ def _ends(model: _Model) -> tuple[float, float]:
     """Where the slope begins and ends: the first and last point of a survey, else the ends of the domain."""
     profile, left = model.first.problem.profile, model.first.grid.left
     begin = max(profile.start(), left) if profile.units else left
-    return float(model.units.x(begin)), float(model.units.x(0.0))
+    last = float(model.units.x(0.0))
+    return last - float(f"{last - float(model.units.x(begin)):.9g}"), last  # less rounding: 0 shall read as 0
 
 
 def _parameter(name: str, start: float, value: float, half: float) -> Parameter:
@@ -266,15 +273,16 @@ def _covariance(jacobian: Array, names: Sequence[str]) -> tuple[Array, Array, li
     blind = [({n}, f"{n} has no effect on the surveyed heights") for n, s in zip(names, norms, strict=True) if s == 0.0]
     scale = np.where(norms > 0.0, norms, 1.0)
     _, singular, rows = np.linalg.svd(jacobian / scale, full_matrices=False)
-    weak = (singular < RESOLVED * singular[0]) & (singular > 0.0)
-    for row in rows[weak]:
+    for row in rows[singular < RESOLVED * singular[0]]:
         i, j = sorted(np.argsort(np.abs(row))[-2:])
         involved = {n for n, v in zip(names, row, strict=True) if abs(v) > 0.1}
+        if len(involved) == 1:  # it has no effect: that has been said
+            continue
         blind.append(
             (involved, f"{names[i]} and {names[j]} cannot be told apart by these surveys: a change of one undoes that "
              "of the other; keep one of them fixed")
         )  # fmt: skip
-    floor = np.maximum(singular, 1e-12 * max(singular[0], 1e-300))
+    floor = np.maximum(singular, 1e-12)
     inverse = (rows.T / floor**2) @ rows
     spread = np.sqrt(np.diag(inverse))
     return inverse / np.outer(scale, scale), inverse / np.outer(spread, spread), blind
@@ -282,7 +290,7 @@ def _covariance(jacobian: Array, names: Sequence[str]) -> tuple[Array, Array, li
 
 def _undetermined(i: int, names: Sequence[str], correlation: Array) -> str:
     """A sentence on a parameter whose interval is too wide, with the one that it goes with."""
-    sentence = f"{names[i]} is not determined by these surveys: its interval reaches further than a factor of ten"
+    sentence = f"{names[i]} is not determined by these surveys: its interval reaches further than a factor of three"
     others = np.abs(correlation[i])
     others[i] = 0.0
     j = int(np.argmax(others))

@@ -26,7 +26,7 @@ from hjprofile.solvers.run import Event, KinkRecord, Run, Verdict
 
 VTK_FOLDER = "vtk"
 _UNITS = ("length", "critical_slope", "x_top", "height_top")
-_HALF = re.compile(r"\..+\.(nc|csv|json|png|npz|pvd|vtp|vtr)\.\w{8}")  # as `write_whole` names them
+_HALF = re.compile(r"\..+\.(nc|csv|json|toml|png|npz|pvd|vtp|vtr)\.\w{8}")  # as `write_whole` names them
 _STALE = ("profile.png", "diagram.png", "vtk/*.pvd", "vtk/*.vtp", "vtk/*.vtr")
 
 _VARIABLES = {  # name -> dimensions, CF long name, axis

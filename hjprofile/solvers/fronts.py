@@ -131,8 +131,8 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts,
 
 def _subdivide(marks: Array, pieces: Array) -> Array:
     """`marks` with the stretches between them cut into so many equal pieces."""
-    parts = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(marks[:-1], marks[1:], pieces, strict=True)]
-    return np.append(np.concatenate(parts), marks[-1])
+    within = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    return np.append(np.repeat(marks[:-1], pieces) + within * np.repeat(np.diff(marks) / pieces, pieces), marks[-1])
 
 
 def _slope_at(law: ErosionLaw, r: float) -> float:
