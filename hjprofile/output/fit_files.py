@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import tomli_w
-
 import hjprofile
 from hjprofile.evidence.calibration import FRONTS, Calibration, Parameter
-from hjprofile.output.store import to_json
+from hjprofile.output.store import to_json, to_toml
 
 
 def fit_files(found: Calibration) -> dict[str, bytes | str]:
@@ -18,7 +16,7 @@ def fit_files(found: Calibration) -> dict[str, bytes | str]:
     return {
         "fit.json": to_json(fit_report(found)),
         "fit.png": fit_picture(found),
-        "fitted.toml": tomli_w.dumps(dict(found.case)),
+        "fitted.toml": to_toml(found.case),
     }
 
 

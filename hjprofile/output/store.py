@@ -9,7 +9,7 @@ import os
 import re
 import tempfile
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from concurrent.futures import BrokenExecutor, Executor, ThreadPoolExecutor
 from contextlib import suppress
 from itertools import groupby
@@ -125,7 +125,7 @@ def netcdf(run: Run) -> bytes:
     file = netcdf_file(buffer, "w", version=2)
     file.Conventions = "CF-1.8"
     text = {"title": run.title or " ", "method": run.method, "status": run.status}
-    for name, value in (text | {"case": tomli_w.dumps(dict(run.case))}).items():
+    for name, value in (text | {"case": to_toml(run.case)}).items():
         setattr(file, name, value.encode())  # scipy takes a str for ASCII
     file.hjprofile_version = hjprofile.__version__
     if run.units:
@@ -198,6 +198,11 @@ def to_json(content: Any) -> str:
         return None if isinstance(value, float) and not np.isfinite(value) else value
 
     return json.dumps(plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def to_toml(content: Mapping[str, Any]) -> str:
+    """TOML text of a resolved case."""
+    return tomli_w.dumps(dict(content))
 
 
 def to_csv(header: Iterable[str], rows: Iterable[tuple]) -> str:
