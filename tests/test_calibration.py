@@ -1,6 +1,10 @@
 """Parameters fitted to two surveys: recovered without noise, covered by intervals with it, refused where wrong."""
 
+import contextlib
+import io
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -246,6 +250,28 @@ def test_the_command_and_its_files(slope, coarse, call, tmp_path):
     assert case.problem.end == p["time.end"] and case.problem.profile.units.length == p["profile.length"]
     again = hj.fit(out / "fitted.toml", x, hj.read_survey(after)[1], list(TRUTH))
     assert np.abs(off(again, p)).max() < 1e-4  # a stop by chi² leaves hundredths of a standard error
+
+
+def test_the_example_of_the_docs(in_tmp, call):
+    """What docs/calibration.md shows is what comes out, but for seconds and the last digit."""
+    page = (Path(__file__).parent.parent / "docs" / "calibration.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"^```python\n(.*?)^```", page, flags=re.M | re.S)
+    (command,) = re.findall(r"^```sh\nhjprofile (.*?)\n```", page, flags=re.M)
+    shown, in_python = re.findall(r"^```text\n(.*?)^```", page, flags=re.M | re.S)[:2]
+    exec(compile(code, "calibration.md", "exec"), {})
+    status, printed, error = call(*command.split())
+    assert (status, error) == (0, "")
+    number = re.compile(r"\d+\.?\d*")
+
+    def told(text):
+        text = re.sub(r"in [\d.]+ s, \d+ evaluations", "", text)
+        return number.sub("#", text), [float(n) for n in number.findall(text)]
+
+    assert told(printed)[0] == told(shown)[0]
+    assert told(printed)[1] == pytest.approx(told(shown)[1], rel=2e-3)
+    with contextlib.redirect_stdout(io.StringIO()) as again:
+        exec(compile(in_python, "calibration.md", "exec"), {"hj": hj})
+    assert again.getvalue().startswith("time.end 2.2") and again.getvalue().count("\n") == 2
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import numpy as np
 import tomli_w
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from scipy.special import stdtrit
 
 import hjprofile as hj
 
@@ -34,13 +35,13 @@ def hillslope(folder, values, survey=None):
 
 
 def survey_after(path, x):
-    """What a survey without noise would find, from twice as many fronts as a run takes."""
+    """What a survey without noise would find, from four times as many fronts as a fit takes."""
     case = hj.load_case(path, {"time.snapshots": 1})
     run = hj.track_fronts(case.problem, hj.Grid(case.grid.left, 40000), 3200)
     return np.interp(x, run.units.x(run.x), run.units.height(run.u[-1]))
 
 
-def trials(folder, number, sigma=None, before=0.0, seed=0):
+def trials(folder, number, before=0.0, seed=0):
     """(value - truth)/half the interval, in logarithms, of each parameter and of the volume: shape (number, 4)."""
     random = np.random.default_rng(seed)
     x = np.linspace(0.0, 2536.09, POINTS)
@@ -55,46 +56,68 @@ def trials(folder, number, sigma=None, before=0.0, seed=0):
             "x,height\n" + "".join(f"{a!r},{b!r}\n" for a, b in zip(bx.tolist(), heights.tolist(), strict=True))
         )
         measured = exact + SIGMA * random.standard_normal(x.size)
-        found = hj.fit(hillslope(folder, START, survey), x, measured, list(TRUTH), sigma)
+        found = hj.fit(hillslope(folder, START, survey), x, measured, list(TRUTH))
         rows.append(
             [
                 np.log(p.value / true) / (0.5 * np.log(p.high / p.low))
                 for p, true in zip((*found.parameters, found.volume), (*TRUTH.values(), volume), strict=True)
             ]
         )
-        print(len(rows), np.round(rows[-1], 2), f"rms {found.rms:.3f}", found.evaluations, flush=True)
     return np.array(rows)
 
 
 def say(name, rows):
     """Coverage of each, and the spread in standard errors, which should be 1."""
     print(f"{name}: {len(rows)} trials")
+    reach = stdtrit(POINTS - len(TRUTH), 0.975)
     for label, column in zip((*TRUTH, "poured_volume"), rows.T, strict=True):
         inside = np.count_nonzero(np.abs(column) <= 1.0)
-        mean, spread = 1.96 * column.mean(), 1.96 * column.std()
+        mean, spread = reach * column.mean(), reach * column.std()
         print(f"  {label:23} in {inside:3} of {len(rows)}; mean {mean:+.2f}, spread {spread:.2f} standard errors")
 
 
-def main():
-    with tempfile.TemporaryDirectory() as folder:
-        rows = trials(folder, TRIALS)
-        say("noise after, sigma from the residuals", rows)
-        say("noise in both surveys", trials(folder, 20, before=SIGMA, seed=1))
-    figure = Figure(figsize=(8.0, 3.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots()
+def one_fit(axes, folder):
+    """How far the slope has moved: surveyed, and by the fit."""
+    x = np.linspace(0.0, 2536.09, POINTS)
+    measured = survey_after(hillslope(folder, TRUTH), x) + SIGMA * np.random.default_rng(2).standard_normal(x.size)
+    found = hj.fit(hillslope(folder, START), x, measured, list(TRUTH))
+    fine, before, after = found.curve
+    axes.plot(fine, after - before, color=BLUE, lw=1.4, label="fitted")
+    axes.plot(
+        found.x, found.measured - np.interp(x, fine, before), "o", ms=3.5, mfc="white", mec=ORANGE, label="measured"
+    )
+    axes.axhline(0.0, color="0.6", lw=0.6, zorder=0)
+    axes.set(xlabel="x (m)", ylabel="change of height (m)", xlim=(0.0, x[-1]))
+    axes.set_title("one of the fits", loc="left", fontsize=10)
+    axes.legend(fontsize=8, frameon=False, loc="lower left")
+
+
+def coverage(axes, rows):
+    """Every trial's error beside its interval."""
     axes.axhspan(-1.0, 1.0, color="0.92", lw=0)
     for place, column in enumerate(rows.T):
         inside = np.abs(column) <= 1.0
         at = place + np.linspace(-0.36, 0.36, len(column))
         axes.plot(at[inside], column[inside], "o", ms=3, color=BLUE, mew=0)
         axes.plot(at[~inside], column[~inside], "D", ms=4.5, color=ORANGE, mew=0)
-        axes.text(place, 1.72, f"{np.count_nonzero(inside)} of {len(column)}", ha="center", fontsize=9)
+        axes.text(place, 2.2, f"{np.count_nonzero(inside)} of {len(column)}", ha="center", fontsize=9)
     axes.axhline(0.0, color="0.6", lw=0.6, zorder=0)
-    axes.set_xticks(range(4), [*TRUTH, "poured volume"])
-    axes.set(ylim=(-2.0, 2.0), ylabel="(fitted - true)\nin halves of the 95 % interval")
-    axes.set_title("the truth inside the 95 % interval (circles) and outside (diamonds)", loc="left", fontsize=10)
-    figure.savefig(ROOT / "docs" / "figures" / "fit.png", dpi=150)
+    axes.set_xticks(range(4), ["poured mass", "critical slope", "m", "poured volume"])
+    axes.set(ylim=(-2.5, 2.5), ylabel="(fitted - true) in halves of the interval")
+    axes.set_title("95 % intervals: truth inside (circles), outside (diamonds)", loc="left", fontsize=10)
+
+
+def main():
+    figure = Figure(figsize=(11.0, 3.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2, width_ratios=[2, 3])
+    with tempfile.TemporaryDirectory() as folder:
+        one_fit(left, folder)
+        rows = trials(folder, TRIALS)
+        coverage(right, rows)
+        figure.savefig(ROOT / "docs" / "figures" / "fit.png", dpi=150)
+        say("noise after, sigma from the residuals", rows)
+        say("noise in both surveys", trials(folder, TRIALS, before=SIGMA, seed=1))
 
 
 if __name__ == "__main__":
