@@ -49,12 +49,14 @@ class Calibration:
 
     Attributes:
         parameters: those that were varied, in the order in which they were named.
-        volume: the poured volume per unit width, length² critical_slope end; None if the case has no survey.
+        volume: the poured volume per unit width, length² critical_slope end; None if the case has no survey,
+            or none of these three was varied.
         correlation: of the logarithms of the parameters, shape (parameters, parameters).
         x, measured, modelled: the surveyed points that lie on the slope, and the model's heights there.
         sigma: standard deviation of a measured height: as given, else estimated from the residuals.
         chi2: Σ (modelled - measured)²/sigma²; None where sigma is estimated.
         left_out: surveyed points beyond the slope's ends.
+        account: what was done to the survey before, or "".
         warnings: a sentence for each thing that the surveys do not determine, or the model does not meet.
         curve: x, height before and height after on a fine grid, shape (3, n), to be drawn.
         case: the resolved case with the fitted values, ready for TOML; its files by absolute paths.
@@ -71,6 +73,7 @@ class Calibration:
     sigma_given: bool
     chi2: float | None
     left_out: int
+    account: str
     warnings: Sequence[str]
     evaluations: int
     wall_seconds: float
@@ -111,6 +114,7 @@ class _Model:
         if self.first.problem.profile.inflow:
             raise InputError(f"{path}: [profile] a flux enters at the left end; a fit needs a profile with q = 0 there")
         self.start = np.array([offered[name] for name in self.names])
+        self.surveyed = self.first.problem.profile.units is not None
         self.units = self.first.problem.profile.units or Units(1.0, 1.0, 0.0, 0.0)
         self.evaluations = 0
 
@@ -118,7 +122,7 @@ class _Model:
         """Values by dotted key. The left end of the domain keeps its place in the survey's units."""
         values: dict[str, Any] = dict(zip(self.names, (self.start * np.exp(z)).tolist(), strict=True))
         left = self.first.grid.left
-        if self.first.problem.profile.units:
+        if self.surveyed:
             left *= self.units.length / values.get("profile.length", self.units.length)
         return values | {"domain.left": left, "time.snapshots": 1}
 
@@ -149,7 +153,7 @@ class _Model:
         )
         return (ahead - back) / (2.0 * STEP)
 
-    def log_volume(self) -> Array:
+    def powers_in_volume(self) -> Array:
         """d ln(length² critical_slope end)/dz."""
         powers = {"profile.length": 2.0, "profile.critical_slope": 1.0, "time.end": 1.0}
         return np.array([powers.get(name, 0.0) for name in self.names])
@@ -189,18 +193,7 @@ def fit(case: str | Path, x: Array, height: Array, vary: Sequence[str], sigma: f
         raise InputError(f"sigma = {sigma} must be a positive number")
     started = time.perf_counter()
     model = _Model(case, vary)
-    x, height = np.asarray(x, dtype=float), np.asarray(height, dtype=float)
-    if not (x.ndim == 1 and x.shape == height.shape and np.all(np.isfinite([x, height])) and np.all(np.diff(x) > 0)):
-        raise InputError("the survey after must be two lists of as many finite numbers, x increasing")
-    first, last = _ends(model)
-    hair = 1e-9 * (last - first)  # the ends have been divided by the length and multiplied again
-    on = (x >= first - hair) & (x <= last + hair)
-    at, measured = x[on], height[on]
-    if at.size <= len(model.names):
-        raise InputError(
-            f"{case}: {at.size} of the {x.size} points of the survey after lie on the slope, from x = {first:g} to "
-            f"{last:g}; to fit {len(model.names)} takes at least {len(model.names) + 1}"
-        )
+    at, measured, fine = _on_the_slope(model, x, height)
     zero = np.zeros(len(model.names))
     model.heights(zero, at)  # its own error if the case cannot be solved
     unit = sigma or 1.0
@@ -209,17 +202,19 @@ def fit(case: str | Path, x: Array, height: Array, vary: Sequence[str], sigma: f
         ftol=ENOUGH, xtol=ENOUGH, max_nfev=MOST_STEPS,
     )  # fmt: skip
     z, residual = found.x, unit * found.fun
+    values = model.start * np.exp(z)
     if found.status < 1:
-        values = ", ".join(f"{n} = {v:.6g}" for n, v in zip(model.names, model.start * np.exp(z), strict=True))
+        reached = ", ".join(f"{n} = {v:.6g}" for n, v in zip(model.names, values, strict=True))
         raise RunError(
-            f"{case}: the fit does not converge in {MOST_STEPS} steps; it has come to {values}; start nearer to "
+            f"{case}: the fit does not converge in {MOST_STEPS} steps; it has come to {reached}; start nearer to "
             "the solution, or vary fewer parameters"
         )
+
     freedom = at.size - z.size
     spread = sigma or float(np.sqrt(np.sum(residual**2) / freedom))
-    reach = float(ndtri(0.975)) if sigma else float(stdtrit(freedom, 0.975))
+    reach = spread * float(ndtri(0.975) if sigma else stdtrit(freedom, 0.975))
     covariance, correlation, blind = _covariance(unit * found.jac, model.names)
-    half = reach * spread * np.sqrt(np.diag(covariance))
+    half = reach * np.sqrt(np.diag(covariance))
     hidden = {name for names, _ in blind for name in names}
     warnings = [sentence for _, sentence in blind]
     for i, name in enumerate(model.names):
@@ -232,35 +227,44 @@ def fit(case: str | Path, x: Array, height: Array, vary: Sequence[str], sigma: f
             f"the model does not meet the survey after to within sigma: chi² is {chi2 / freedom:.3g} for each degree "
             "of freedom where 1 is expected; the intervals are too narrow"
         )
-    values = model.start * np.exp(z)
     parameters = [
         _parameter(name, start, value, np.nan if name in hidden else h)
         for name, start, value, h in zip(model.names, model.start, values, half, strict=True)
     ]
-    fitted = model.fitted(z)
-    volume = None
-    if model.first.problem.profile.units:
-        weights = model.log_volume()
-        before = model.units.volume * model.first.problem.end
-        h = reach * spread * float(np.sqrt(weights @ covariance @ weights))
-        h = np.nan if h > WIDEST or any(w and n in hidden for w, n in zip(weights, model.names, strict=True)) else h
-        volume = _parameter(VOLUME, before, before * float(np.exp(weights @ z)), h)
-    fine = np.linspace(first, last, 1001)
+    volume, powers = None, model.powers_in_volume()
+    if model.surveyed and powers.any():
+        start = model.units.volume * model.first.problem.end
+        h = reach * float(np.sqrt(powers @ covariance @ powers))
+        known = not hidden.intersection(n for n, power in zip(model.names, powers, strict=True) if power)
+        volume = _parameter(VOLUME, start, start * float(np.exp(powers @ z)), h if known else np.nan)
     return Calibration(
         title=model.first.problem.title, parameters=parameters, volume=volume, correlation=correlation,
         x=at, measured=measured, modelled=measured + residual, sigma=spread, sigma_given=sigma is not None, chi2=chi2,
-        left_out=int(x.size - at.size), warnings=warnings, evaluations=model.evaluations,
-        wall_seconds=time.perf_counter() - started,
-        curve=np.array([fine, model.heights(z, fine, end=0.0), model.heights(z, fine)]), case=fitted,
+        left_out=np.size(x) - at.size, account=model.first.problem.profile.account, warnings=warnings,
+        curve=np.array([fine, model.heights(z, fine, end=0.0), model.heights(z, fine)]), case=model.fitted(z),
+        evaluations=model.evaluations, wall_seconds=time.perf_counter() - started,
     )  # fmt: skip
 
 
-def _ends(model: _Model) -> tuple[float, float]:
-    """Where the slope begins and ends: the first and last point of a survey, else the ends of the domain."""
-    profile, left = model.first.problem.profile, model.first.grid.left
-    begin = max(profile.start(), left) if profile.units else left
+def _on_the_slope(model: _Model, x: Array, height: Array) -> tuple[Array, Array, Array]:
+    """The points that lie between the first and the last point of the survey before, or in the domain; and a fine x.
+
+    Raises InputError if they are too few.
+    """
+    x, height = np.asarray(x, dtype=float), np.asarray(height, dtype=float)
+    if not (x.ndim == 1 and x.shape == height.shape and np.all(np.isfinite([x, height])) and np.all(np.diff(x) > 0)):
+        raise InputError("the survey after must be two lists of as many finite numbers, x increasing")
+    begin = model.first.problem.profile.start() if model.surveyed else model.first.grid.left
     last = float(model.units.x(0.0))
-    return last - float(f"{last - float(model.units.x(begin)):.9g}"), last  # less rounding: 0 shall read as 0
+    first = last - float(f"{last - float(model.units.x(begin)):.9g}")  # less rounding: 0 shall read as 0
+    hair = 1e-9 * (last - first)  # the ends have been divided by the length and multiplied again
+    on = (x >= first - hair) & (x <= last + hair)
+    if np.count_nonzero(on) <= len(model.names):
+        raise InputError(
+            f"{model.path}: {np.count_nonzero(on)} of the {x.size} points of the survey after lie on the slope, from "
+            f"x = {first:g} to {last:g}; to fit {len(model.names)} takes at least {len(model.names) + 1}"
+        )
+    return x[on], height[on], np.linspace(first, last, 1001)
 
 
 def _parameter(name: str, start: float, value: float, half: float) -> Parameter:
@@ -270,7 +274,11 @@ def _parameter(name: str, start: float, value: float, half: float) -> Parameter:
 def _covariance(jacobian: Array, names: Sequence[str]) -> tuple[Array, Array, list[tuple[set[str], str]]]:
     """(JᵀJ)⁻¹, its correlations, and which parameters the heights do not tell apart, with a sentence each."""
     norms = np.sqrt(np.sum(jacobian**2, axis=0))
-    blind = [({n}, f"{n} has no effect on the surveyed heights") for n, s in zip(names, norms, strict=True) if s == 0.0]
+    blind = [
+        ({n}, f"{n} has no effect on the surveyed heights near its value")
+        for n, s in zip(names, norms, strict=True)
+        if s == 0.0
+    ]
     scale = np.where(norms > 0.0, norms, 1.0)
     _, singular, rows = np.linalg.svd(jacobian / scale, full_matrices=False)
     for row in rows[singular < RESOLVED * singular[0]]:

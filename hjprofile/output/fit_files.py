@@ -33,6 +33,7 @@ def fit_report(found: Calibration) -> dict[str, Any]:
         "sigma": {"value": found.sigma, "from": "given" if found.sigma_given else "residuals"},
         "degrees_of_freedom": found.degrees_of_freedom,
         "chi2_per_degree_of_freedom": None if found.chi2 is None else found.chi2 / found.degrees_of_freedom,
+        "account": found.account,
         "warnings": list(found.warnings),
         "method": "fronts",
         "fronts": FRONTS,
@@ -55,6 +56,8 @@ def fit_account(found: Calibration) -> str:
         found.title,
         f"  fitted to {found.x.size} heights{beyond} in {found.wall_seconds:.2g} s, {found.evaluations} evaluations",
     ]
+    if found.account:
+        lines.append(f"  {found.account}")
     for p in rows:
         known = f"{p.low:.5g} to {p.high:.5g} (95 %)" if p.low == p.low else "no interval, see below"
         lines.append(f"  {p.name:{width}}  {p.value:<10.6g}  {known}, started at {p.start:g}")

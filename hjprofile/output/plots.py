@@ -177,7 +177,7 @@ def draw_fit(found: Calibration) -> Figure:
     bottom.plot(found.x, found.measured - found.modelled, **(points | {"label": "_"}))
     for axes in (middle, bottom):
         axes.axhline(0.0, color="0.6", lw=0.6, zorder=0)
-    of_survey = " (units of the survey)" if found.volume else ""
+    of_survey = " (units of the survey)" if found.case["profile"]["kind"] == "survey" else ""
     top.set_title(found.title, loc="left", fontweight="bold")
     lines = [
         f"{p.name} = {p.value:.4g}" + (f"  [{p.low:.4g}, {p.high:.4g}]" if np.isfinite(p.low) else "  undetermined")
