@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from hjprofile.evidence.accuracy import Comparison as Comparison
     from hjprofile.evidence.accuracy import compare as compare
     from hjprofile.evidence.accuracy import observed_order as observed_order
+    from hjprofile.evidence.calibration import Calibration as Calibration
+    from hjprofile.evidence.calibration import fit as fit
     from hjprofile.evidence.chart import chart as chart
     from hjprofile.evidence.consistency import check_consistency as check_consistency
     from hjprofile.evidence.slow_erosion import slow_erosion as slow_erosion
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
     from hjprofile.problem.profiles import profile as profile
     from hjprofile.problem.profiles import steady as steady
     from hjprofile.problem.profiles import steps as steps
+    from hjprofile.problem.survey import read_survey as read_survey
     from hjprofile.problem.survey import survey as survey
     from hjprofile.solvers.characteristics import solve_characteristics as solve_characteristics
     from hjprofile.solvers.fronts import track_fronts as track_fronts
@@ -52,6 +55,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "errors": ("InputError", "RunError"),
     "evidence.accuracy": ("Comparison", "compare", "observed_order"),
+    "evidence.calibration": ("Calibration", "fit"),
     "evidence.chart": ("chart",),
     "evidence.consistency": ("check_consistency",),
     "evidence.slow_erosion": ("slow_erosion",),
@@ -63,7 +67,7 @@ _MODULES = {
     "problem.erosion": ("ErosionLaw", "erosion_law", "expression", "log", "power", "rational"),
     "problem.grid": ("Grid",),
     "problem.profiles": ("bumps", "kinks", "points", "profile", "steady", "steps"),
-    "problem.survey": ("survey",),
+    "problem.survey": ("read_survey", "survey"),
     "solvers.characteristics": ("solve_characteristics",),
     "solvers.fronts": ("track_fronts",),
     "solvers.methods": ("solve", "solve_case", "solve_conservative", "solve_hj"),

@@ -43,6 +43,8 @@ Tolerance = Annotated[float | None, Parameter(help="Largest error of u; takes th
 End = Annotated[float | None, Parameter(help="Mass of grains poured in at which the run ends.")]
 Resume = Annotated[bool, Parameter(negative="", help="Go on from the checkpoint in the folder for the results.")]
 Strict = Annotated[bool, Parameter(negative="", help="Stop, as a failure, where a bound is broken.")]
+Vary = Annotated[list[str], Parameter(help="A parameter to fit by its key, as in time.end; once for each.")]
+Sigma = Annotated[float | None, Parameter(help="Standard deviation of a measured height; else from the residuals.")]
 Out = Annotated[Path | None, Parameter(help="Folder for the results; results/<case name> by default.")]
 Into = Annotated[Path | None, Parameter(help="Folder for the files; the result's own by default.")]
 
@@ -232,6 +234,29 @@ def sweep(case: str, /, *, vary: Vary, workers: Workers = None, resume: Kept = F
     print(f"written to {folder}: sweep.csv, sweep.nc")
     if not any(outcome.done for outcome in result.outcomes):
         raise RunError(f"{case}: no member could be solved; the reasons are in {folder / 'sweep.csv'}")
+
+
+@app.command
+def fit(case: str, after: Path, /, *, vary: Vary, sigma: Sigma = None, out: Out = None) -> None:
+    """Fit parameters of a case to a survey made afterwards, with 95 % intervals.
+
+    AFTER is a CSV file with the header x,height; the case's own profile is the survey before. Writes fit.json, fit.png
+    and fitted.toml, the case with the fitted values.
+    """
+    from hjprofile.evidence.calibration import fit as fit_case
+    from hjprofile.output.fit_files import fit_account, fit_files
+    from hjprofile.output.store import open_folder, write_whole
+    from hjprofile.problem.survey import read_survey
+
+    folder, (loaded,) = _cases((case,), out)
+    x, height, _ = read_survey(after)
+    found = fit_case(loaded.source, x, height, vary, sigma)
+    open_folder(folder)
+    files = fit_files(found)
+    for name, data in files.items():
+        write_whole(folder / name, data)
+    print(fit_account(found))
+    print(f"  written     {folder}: {', '.join(files)}")
 
 
 @app.command

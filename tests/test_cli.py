@@ -34,7 +34,7 @@ SCENE = {
     "time": {"end": 4.0, "snapshots": 5},
 }
 BARE = {"output": {"vtk": False, "plots": False}}
-COMMANDS = ("run", "check", "chart", "stability", "dependence", "sweep", "plot", "export", "cases")
+COMMANDS = ("run", "check", "chart", "stability", "dependence", "sweep", "fit", "plot", "export", "cases")
 
 
 def write_case(folder, name="scene", **changes):

@@ -15,6 +15,7 @@ from matplotlib.colors import Normalize, TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter, NullFormatter
 
+from hjprofile.evidence.calibration import Calibration
 from hjprofile.evidence.chart import Point, Reference, pareto
 from hjprofile.evidence.dependence import Distance, largest_distances, observed_constant
 from hjprofile.evidence.stability import FAILS, HOLDS, LOSES, OSCILLATES, Trial
@@ -217,6 +218,44 @@ def draw_dependence(distances: Sequence[Distance]) -> Figure:
     for panel in axes.values():
         panel.legend(fontsize=8, frameon=False)
     figure.suptitle(f"Continuous dependence: {distances[0].case}", fontsize=12, x=0.01, ha="left")
+    return figure
+
+
+def fit_picture(found: Calibration) -> bytes:
+    """PNG of `draw_fit`."""
+    return _png(draw_fit(found))
+
+
+def draw_fit(found: Calibration) -> Figure:
+    """Both surveys with the fitted profile; below it how far the slope has moved; below that what the fit leaves."""
+    figure = _figure(8.0, 7.6)
+    top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 1.4])
+    x, before, after = found.curve
+    start = np.interp(found.x, x, before)
+    points = {"ls": "none", "marker": "o", "ms": 3.5, "mfc": "white", "mec": ERODED, "label": "measured after"}
+    top.plot(x, before, color="0.45", lw=1.1, ls="--", label="before")
+    top.plot(x, after, color=DEPOSITED, lw=1.4, label="fitted after")
+    top.plot(found.x, found.measured, **points)
+    middle.plot(x, after - before, color=DEPOSITED, lw=1.4)
+    middle.plot(found.x, found.measured - start, **points)
+    bottom.axhspan(-1.96 * found.sigma, 1.96 * found.sigma, color="0.9", lw=0, label="±1.96 sigma")
+    bottom.plot(found.x, found.measured - found.modelled, **(points | {"label": "_"}))
+    for axes in (middle, bottom):
+        axes.axhline(0.0, color="0.6", lw=0.6, zorder=0)
+    of_survey = " (units of the survey)" if found.case["profile"]["kind"] == "survey" else ""
+    top.set_title(found.title, loc="left", fontweight="bold")
+    lines = [
+        f"{p.name} = {p.value:.4g}" + (f"  [{p.low:.4g}, {p.high:.4g}]" if np.isfinite(p.low) else "  undetermined")
+        for p in (*found.parameters, *([found.volume] if found.volume else []))
+    ]
+    top.text(0.985, 0.04, "\n".join(lines), transform=top.transAxes, ha="right", va="bottom", fontsize=8)
+    top.legend(loc="upper left", fontsize=8, frameon=False)
+    bottom.legend(loc="best", fontsize=8, frameon=False)
+    top.set_ylabel("height" + of_survey)
+    middle.set_ylabel("change of height")
+    bottom.set_ylabel("measured - fitted")
+    bottom.set_xlabel("x" + of_survey)
+    bottom.set_xlim(x[0], x[-1])
     return figure
 
 

@@ -9,7 +9,7 @@ import os
 import re
 import tempfile
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from concurrent.futures import BrokenExecutor, Executor, ThreadPoolExecutor
 from contextlib import suppress
 from itertools import groupby
@@ -27,7 +27,7 @@ from hjprofile.solvers.run import Event, KinkRecord, Run, Verdict, VerticalStep
 VTK_FOLDER = "vtk"
 STEPS_FILE = "vertical_steps.csv"
 _UNITS = ("length", "critical_slope", "x_top", "height_top")
-_HALF = re.compile(r"\..+\.(nc|csv|json|png|npz|pvd|vtp|vtr)\.\w{8}")  # as `write_whole` names them
+_HALF = re.compile(r"\..+\.(nc|csv|json|toml|png|npz|pvd|vtp|vtr)\.\w{8}")  # as `write_whole` names them
 _STALE = (STEPS_FILE, "profile.png", "diagram.png", "vtk/*.pvd", "vtk/*.vtp", "vtk/*.vtr")
 
 _VARIABLES = {  # name -> dimensions, CF long name, axis
@@ -128,7 +128,7 @@ def netcdf(run: Run) -> bytes:
     file = netcdf_file(buffer, "w", version=2)
     file.Conventions = "CF-1.8"
     text = {"title": run.title or " ", "method": run.method, "status": run.status}
-    for name, value in (text | {"case": tomli_w.dumps(dict(run.case))}).items():
+    for name, value in (text | {"case": to_toml(run.case)}).items():
         setattr(file, name, value.encode())  # scipy takes a str for ASCII
     file.hjprofile_version = hjprofile.__version__
     if run.units:
@@ -201,6 +201,11 @@ def to_json(content: Any) -> str:
         return None if isinstance(value, float) and not np.isfinite(value) else value
 
     return json.dumps(plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def to_toml(content: Mapping[str, Any]) -> str:
+    """TOML text of a resolved case."""
+    return tomli_w.dumps(dict(content))
 
 
 def to_csv(header: Iterable[str], rows: Iterable[tuple]) -> str:

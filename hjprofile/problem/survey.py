@@ -31,7 +31,7 @@ def survey(
     if repair not in (None, "isotonic"):
         raise InputError(f"repair = {repair!r} is not known; allowed is 'isotonic'")
     path = (base or Path()) / file
-    x, height, rows = _read_survey(path)
+    x, height, rows = read_survey(path)
     account = ""
     least = REPAIR_SLOPE * critical_slope if repair else 0.0
     falls = np.flatnonzero(np.diff(height) <= least * np.diff(x))
@@ -70,8 +70,12 @@ def survey(
     )
 
 
-def _read_survey(path: Path) -> tuple[Array, Array, list[int]]:
-    """x, height and the row numbers (the header is row 1). Raises InputError naming the row."""
+def read_survey(path: str | Path) -> tuple[Array, Array, list[int]]:
+    """x, height and their rows in a CSV file with header `x,height` (which is row 1), x increasing.
+
+    Raises InputError naming the row.
+    """
+    path = Path(path)
     require_file(path)
     try:
         with open(path, newline="", encoding="utf-8-sig") as stream:

@@ -1,0 +1,70 @@
+"""What a fit leaves behind: its files, and a short account."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import hjprofile
+from hjprofile.evidence.calibration import FRONTS, Calibration, Parameter
+from hjprofile.output.store import to_json, to_toml
+
+
+def fit_files(found: Calibration) -> dict[str, bytes | str]:
+    """Name -> content: the numbers, the picture and the case with the fitted values."""
+    from hjprofile.output.plots import fit_picture
+
+    return {
+        "fit.json": to_json(fit_report(found)),
+        "fit.png": fit_picture(found),
+        "fitted.toml": to_toml(found.case),
+    }
+
+
+def fit_report(found: Calibration) -> dict[str, Any]:
+    """`fit.json`, as a dictionary."""
+    return {
+        "title": found.title,
+        "parameters": {p.name: _row(p) for p in found.parameters},
+        "poured_volume": _row(found.volume) if found.volume else None,
+        "correlation": found.correlation.tolist(),
+        "points": found.x.size,
+        "left_out": found.left_out,
+        "residual_rms": found.rms,
+        "sigma": {"value": found.sigma, "from": "given" if found.sigma_given else "residuals"},
+        "degrees_of_freedom": found.degrees_of_freedom,
+        "chi2_per_degree_of_freedom": None if found.chi2 is None else found.chi2 / found.degrees_of_freedom,
+        "account": found.account,
+        "warnings": list(found.warnings),
+        "method": "fronts",
+        "fronts": FRONTS,
+        "evaluations": found.evaluations,
+        "wall_seconds": found.wall_seconds,
+        "hjprofile_version": hjprofile.__version__,
+    }
+
+
+def _row(p: Parameter) -> dict[str, Any]:
+    return {"value": p.value, "interval_95": [p.low, p.high], "start": p.start}
+
+
+def fit_account(found: Calibration) -> str:
+    """The fitted values, a line each, and how well they meet the survey."""
+    rows = [*found.parameters, *([found.volume] if found.volume else [])]
+    width = max(len(p.name) for p in rows)
+    beyond = f" ({found.left_out} beyond the slope left out)" if found.left_out else ""
+    lines = [
+        found.title,
+        f"  fitted to {found.x.size} heights{beyond} in {found.wall_seconds:.2g} s, {found.evaluations} evaluations",
+    ]
+    if found.account:
+        lines.append(f"  {found.account}")
+    for p in rows:
+        known = f"{p.low:.5g} to {p.high:.5g} (95 %)" if p.low == p.low else "no interval, see below"
+        lines.append(f"  {p.name:{width}}  {p.value:<10.6g}  {known}, started at {p.start:g}")
+    fits = (
+        f"  residuals {found.rms:.3g} r.m.s., sigma {found.sigma:.3g} {'given' if found.sigma_given else 'from them'}"
+    )
+    if found.chi2 is not None:
+        freedom = found.degrees_of_freedom
+        fits += f", chi² {found.chi2 / freedom:.3g} for each of {freedom} degrees of freedom"
+    return "\n".join([*lines, fits, *(f"  WARNING   {warning}" for warning in found.warnings)])
