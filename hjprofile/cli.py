@@ -43,7 +43,7 @@ Tolerance = Annotated[float | None, Parameter(help="Largest error of u; takes th
 End = Annotated[float | None, Parameter(help="Mass of grains poured in at which the run ends.")]
 Resume = Annotated[bool, Parameter(negative="", help="Go on from the checkpoint in the folder for the results.")]
 Strict = Annotated[bool, Parameter(negative="", help="Stop, as a failure, where a bound is broken.")]
-Vary = Annotated[list[str], Parameter(help="A parameter to fit by its key, as in time.end; once for each.")]
+Fitted = Annotated[list[str], Parameter(help="A parameter to fit by its key, as in time.end; once for each.")]
 Sigma = Annotated[float | None, Parameter(help="Standard deviation of a measured height; else from the residuals.")]
 Out = Annotated[Path | None, Parameter(help="Folder for the results; results/<case name> by default.")]
 Into = Annotated[Path | None, Parameter(help="Folder for the files; the result's own by default.")]
@@ -237,7 +237,7 @@ def sweep(case: str, /, *, vary: Vary, workers: Workers = None, resume: Kept = F
 
 
 @app.command
-def fit(case: str, after: Path, /, *, vary: Vary, sigma: Sigma = None, out: Out = None) -> None:
+def fit(case: str, after: Path, /, *, vary: Fitted, sigma: Sigma = None, out: Out = None) -> None:
     """Fit parameters of a case to a survey made afterwards, with 95 % intervals.
 
     AFTER is a CSV file with the header x,height; the case's own profile is the survey before. Writes fit.json, fit.png

@@ -113,6 +113,12 @@ class _Model:
             raise InputError(f"{path}: a fit needs at least one parameter to vary, each named once")
         if self.first.problem.profile.inflow:
             raise InputError(f"{path}: [profile] a flux enters at the left end; a fit needs a profile with q = 0 there")
+        try:
+            self.first.problem.check_method("fronts", self.first.refresh)
+        except InputError as error:
+            raise InputError(f"{path}: a fit is made by fronts, and {error}") from None
+        if self.first.problem.line == "whole":
+            raise InputError(f"{path}: a fit is of the half line; it cannot take line = 'whole'")
         self.start = np.array([offered[name] for name in self.names])
         self.surveyed = self.first.problem.profile.units is not None
         self.units = self.first.problem.profile.units or Units(1.0, 1.0, 0.0, 0.0)
@@ -172,7 +178,7 @@ class _Model:
 
 
 def _resolved(case: Case) -> dict[str, Any]:
-    return resolved_case(case.problem, case.grid, case.method, case.cfl, case.tolerance)
+    return resolved_case(case.problem, case.grid, case.method, case.cfl, case.tolerance, case.refresh)
 
 
 def fit(case: str | Path, x: Array, height: Array, vary: Sequence[str], sigma: float | None = None) -> Calibration:

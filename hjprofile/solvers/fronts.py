@@ -243,6 +243,19 @@ class _Tracker:
         return None
 
 
+def _begin(
+    problem: Problem, left: float, fronts: int, exact: bool | None = None
+) -> tuple[Fronts, _Tracker | StepTracker]:
+    """The problem cut into fronts, and what moves them."""
+    data, table = cut_into_fronts(problem, left, fronts)
+    exact = data.kinks_only if exact is None else exact
+    if not isinstance(table, StepLaw):
+        return data, _Tracker(data, table, exact)
+    if exact and not data.kinks_only:
+        raise InputError("exact = True of other data than kinks is not available for a law with growth = 'linear'")
+    return data, StepTracker(data.x, data.jump, data.label, data.spacing, exact, table)
+
+
 @also_on_the_whole_line
 def track_fronts(
     problem: Problem,
@@ -268,15 +281,7 @@ def track_fronts(
         raise InputError("front tracking needs q = 0 at the left end; this profile has a flux that enters there")
     grid = grid or problem.grid()
     problem.check(grid, "fronts")
-    data, table = cut_into_fronts(problem, grid.left, fronts)
-    exact = data.kinks_only if exact is None else exact
-    tracker: _Tracker | StepTracker
-    if isinstance(table, StepLaw):
-        if exact and not data.kinks_only:
-            raise InputError("exact = True of other data than kinks is not available for a law with growth = 'linear'")
-        tracker = StepTracker(data.x, data.jump, data.label, data.spacing, exact, table)
-    else:
-        tracker = _Tracker(data, table, exact)
+    data, tracker = _begin(problem, grid.left, fronts, exact)
     height = float(profile.W(grid.nodes[:1], problem.law)[0])
 
     kept, saved, kinks = problem.times, [], []
@@ -353,8 +358,7 @@ def heights_at_end(problem: Problem, left: float, x: Array, fronts: int) -> Arra
 
     As `track_fronts`, without a grid and those who watch. Raises RunError where front tracking loses the slope.
     """
-    data, table = cut_into_fronts(problem, left, fronts)
-    tracker = _Tracker(data, table, exact=data.kinks_only)
+    _, tracker = _begin(problem, left, fronts)
     arrived = tracker.advance(problem.end)
     W, K = tracker.read(x)
     u = x + W + float(problem.profile.W(np.array([left]), problem.law)[0])
