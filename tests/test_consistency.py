@@ -45,21 +45,21 @@ def late_K(update):
     was, growth = update
     return [
         ("[start] = 1.0, 0.0\n", "[start] = 1.0, 0.0\n            p[start] = 0.0\n"),
-        (f"{was} {growth}(", f"{was} {growth}(p[l]); p[l] = ("),
+        (f"{was} {growth}", f"{was} {growth}p[l]); p[l] = ("),
     ]
 
 
 FAULTY_KERNELS = {
-    "HJ: K without dx": ("hj_pass", ("growth(z)", "growth(z / dx)")),
-    "HJ: K with the wrong sign": ("hj_pass", ("growth(z)", "growth(-z)")),
-    "HJ: K shifted by a cell": ("hj_pass", *late_K(("K_left = K[l] *", "growth"))),
+    "HJ: K without dx": ("hj_pass", ("thickening(law, z)", "thickening(law, z / dx)")),
+    "HJ: K with the wrong sign": ("hj_pass", ("thickening(law, z)", "thickening(law, -z)")),
+    "HJ: K shifted by a cell": ("hj_pass", *late_K(("K_left = K[l] *", "thickening(law, "))),
     "HJ: u_t with the wrong sign": ("hj_pass", ("here - ratio * F", "here + ratio * F")),
     "HJ: half the time step": ("hj_pass", ("here - ratio * F", "here - 0.5 * ratio * F")),
     "HJ: slope with the wrong dx": ("hj_pass", ("d = here - left", "d = 1.01 * (here - left)")),
     "CL second order: K without dx": ("hancock_pass", ("fine_growth(z[l])", "fine_growth(z[l] / dx)")),
     "CL second order: K with the wrong sign": ("hancock_pass", ("fine_growth(z[l])", "fine_growth(-z[l])")),
     "CL second order: K from half of f": ("hancock_pass", ("fine_growth(z[l])", "fine_growth(0.5 * z[l])")),
-    "CL second order: K shifted by a cell": ("hancock_pass", *late_K(("K[l] *=", "fine_growth"))),
+    "CL second order: K shifted by a cell": ("hancock_pass", *late_K(("K[l] *=", "fine_growth("))),
     "CL second order: K of the step's start": ("hancock_pass", ("z_here + df_here * rise * dx", "z_here")),
     "CL second order: flux of the step's start": ("hancock_pass", ("half + rise", "half")),
     "CL second order: slope to the wrong side": ("hancock_pass", ("half + rise", "rise - half")),
