@@ -224,7 +224,7 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
     law = _build(sections["erosion"], "law", _LAWS, base)
     profile = _build(sections["profile"], "kind", _PROFILES, base)
     domain, time, solver, output = (sections[k] for k in ("domain", "time", "solver", "output"))
-    grid_values = {"left": domain.take("left", _number), "cells": domain.take("cells", _whole)}
+    left, cells = domain.take("left", _number, None), domain.take("cells", _whole)
     time_values = {"end": time.take("end", _number), "snapshots": time.take("snapshots", _count_or_times, 31)}
     method, cfl = solver.take("method", _text, DEFAULT_METHOD), solver.take("cfl", _positive, DEFAULT_CFL)
     tolerance = solver.take("tolerance", _positive, None)
@@ -234,7 +234,8 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
         section.finish()
     section = domain
     try:
-        grid = Grid(**grid_values)
+        tail = min(profiles.TAIL, 0.01 * tolerance) if tolerance else profiles.TAIL
+        grid = profile.grid(cells, tail) if left is None else Grid(left, cells)
         section = time
         problem = Problem(law, profile, title=title, **time_values)
         section = domain

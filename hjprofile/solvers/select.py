@@ -1,0 +1,301 @@
+"""The least work that meets a tolerance on u: which method, at which resolution (theory, §18).
+
+A closed form if the data have one, and kinks exactly; otherwise a pilot of few fronts tells how many fronts the
+tolerance takes, and characteristics are preferred where they need less work than that. Work is counted, not timed, so
+that the choice is the same on every machine and a case solves to the same numbers again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hjprofile.errors import InputError, RunError
+from hjprofile.problem import Problem
+from hjprofile.problem.case import resolved_case
+from hjprofile.problem.grid import Grid
+from hjprofile.problem.profiles import Kinks
+from hjprofile.solvers import closed_forms
+from hjprofile.solvers.characteristics import FINEST, solve_characteristics
+from hjprofile.solvers.fronts import track_fronts
+from hjprofile.solvers.run import Array, Run
+
+Progress = Callable[[float], None]
+
+SAFETY = 1.4  # of an estimate from two resolutions; true errors were 1.2 times the plain one in 19 of 20 random scenes
+AIM = 0.85  # part of the tolerance that the next resolution is to reach
+PILOT, MOST_PILOT = 64, 1024  # fronts; more where these get through no better
+PER_BREAK = 4  # fronts of the pilot for each corner or jump: fewer tell two resolutions apart only in name
+APART = 1.6, 3.0  # least and largest ratio of two resolutions for an estimate
+MOST_FRONTS = 25600
+# Seconds, where they were measured, of a step of one front under a rational law and under others
+FRONT_STEP, TABLE_STEP = 1e-7, 4.5e-7
+QUICK, BREAK = 0.05, 0.012  # half of what characteristics usually take, and of what each corner or jump adds
+PATIENCE = 0.6  # part of the work of fronts after which characteristics are given up
+DIGITS = 1e-10, 1e-12  # coarsest and finest first tolerance of characteristics: coarser ones save nothing and lose kinks
+ROUNDING = 1e-12  # of kinks by fronts, per unit of u
+MOST_CELLS = 64_000  # of a grid
+COARSE_CELLS = 200  # on which two runs are compared, at least
+
+
+@dataclass
+class _Search:
+    """What was tried, and what came of it."""
+
+    problem: Problem
+    grid: Grid
+    tolerance: float
+    progress: Progress | None
+    done: list[Run] = field(default_factory=list)  # with an estimate, and `account` the reason to take it
+    failed: list[str] = field(default_factory=list)
+    seconds: float = 0.0
+
+    def offer(self, run: Run | None, estimate: float, reason: str) -> bool:
+        """Keeps a run; whether it meets the tolerance."""
+        if run is None:
+            return False
+        self.done.append(replace(run, error_estimate=estimate, account=reason))
+        return estimate <= self.tolerance
+
+    def attempt(self, solve: Callable[[], Run], name: str) -> Run | None:
+        """A run that goes to its end, or None, with the reason noted."""
+        try:
+            run = solve()
+        except RunError as error:
+            self.failed.append(f"{name} {str(error).partition('; use')[0]}")
+            return None
+        self.seconds += run.wall_seconds
+        if not run.done:
+            self.failed.append(f"{name} {run.status.partition('; use')[0]}")
+            return None
+        return run
+
+    def result(self) -> Run:
+        """The best of what was tried. Raises RunError if nothing went to its end."""
+        if not self.done:
+            raise RunError(
+                f"no method meets the tolerance {self.tolerance:g}: {'; '.join(self.failed)}; use the method godunov"
+            )
+        run = min(self.done, key=lambda r: (r.error_estimate > self.tolerance, r.error_estimate))  # type: ignore[operator]
+        estimate = run.error_estimate
+        beyond = "" if estimate <= self.tolerance else ", which exceeds it: nothing that was tried meets it"  # type: ignore[operator]
+        account = f"{run.account}: error of u about {estimate:.1g} (tolerance {self.tolerance:g}{beyond}), "
+        account += f"{self.seconds:.2g} s"
+        case = resolved_case(self.problem, self.grid, "auto", tolerance=self.tolerance)
+        account = "; ".join(filter(None, (self.problem.profile.account, account)))
+        return replace(run, case=case, account=account, wall_seconds=self.seconds)
+
+
+def candidates(problem: Problem) -> tuple[str, ...]:
+    """The methods that can solve this problem; one that only some can solve narrows the list here."""
+    if problem.profile.inflow:
+        return ("closed form", "grid")
+    return ("closed form", "fronts", "characteristics", "grid")
+
+
+def least_work(
+    problem: Problem,
+    grid: Grid,
+    tolerance: float,
+    on_grid: Callable[[Problem, Grid, str], Run],
+    progress: Progress | None = None,
+) -> Run:
+    """Solves to a tolerance on sup|u - exact u| over all saved times with as little work as is known to do.
+
+    `on_grid` solves with a method on a grid. Raises RunError if nothing goes to its end.
+    """
+    can = candidates(problem)
+    search = _Search(problem, grid, tolerance, progress)
+    if "closed form" in can and _closed_form(search):
+        return search.result()
+    if "fronts" in can and _fronts_or_characteristics(search, "characteristics" in can):
+        return search.result()
+    if not search.done:
+        for method in ("conservative", "godunov"):
+            if _on_grids(search, method, on_grid):
+                break
+    return search.result()
+
+
+def _closed_form(search: _Search) -> bool:
+    try:
+        if isinstance(search.problem.profile, Kinks):  # fronts know these exactly, too, and sooner
+            return False
+        form = closed_forms.closed_form(search.problem)
+        run = form and closed_forms.evaluate(form, search.problem, search.grid)
+    except (ArithmeticError, ValueError, RuntimeError):  # numbers out of range
+        return False
+    if run is None or not np.isfinite(run.u).all() or not np.isfinite(run.error_estimate):  # type: ignore[arg-type]
+        return False
+    search.seconds += run.wall_seconds
+    return search.offer(run, run.error_estimate, "the closed form, which these data have")  # type: ignore[arg-type]
+
+
+def _fronts_or_characteristics(search: _Search, characteristics: bool) -> bool:
+    """Whether either of them meets the tolerance, the one that is thought to take less work first."""
+    problem = search.problem
+    if isinstance(problem.profile, Kinks):
+        run = search.attempt(lambda: track_fronts(problem, search.grid, progress=search.progress), "front tracking")
+        if run is not None:
+            scale = 1.0 + float(np.abs(run.u - run.x).max())
+            estimate = 10.0 * max(run.volume_budget_error, ROUNDING * scale)
+            if search.offer(run, estimate, "fronts, which are exact because the data are kinks only"):
+                return True
+        return characteristics and _characteristics(search, np.inf, "because fronts do not reach it")
+    ladder = _Ladder(search)
+    needed = ladder.pilot()
+    breaks = len(problem.profile.breaks(problem.law))
+    least = QUICK + BREAK * breaks
+    untried = characteristics
+    while True:
+        work = ladder.work(needed)
+        if untried and work > least:
+            untried = False
+            patience = PATIENCE * work if needed <= MOST_FRONTS else np.inf
+            why = f"because {needed:.2g} fronts would cost more" if np.isfinite(needed) else "because fronts fail"
+            if _characteristics(search, patience, why):
+                return True
+        if not np.isfinite(needed):
+            break
+        n = int(min(needed, MOST_FRONTS))
+        if ladder.solve(n):
+            return True
+        if n == MOST_FRONTS or not np.isfinite(needed := ladder.next()):
+            break
+    return characteristics and _characteristics(search, np.inf, "because fronts do not reach it")
+
+
+def _characteristics(search: _Search, patience: float, why: str) -> bool:
+    """By characteristics, to a second tolerance if the first does not do."""
+    first = float(np.clip(1e-3 * search.tolerance, DIGITS[1], DIGITS[0]))
+    for tolerance in (first, FINEST):
+        run = search.attempt(
+            lambda e=tolerance: solve_characteristics(search.problem, search.grid, e, search.progress, patience),  # type: ignore[misc]
+            "characteristics",
+        )
+        if run is not None and search.offer(run, run.error_estimate, f"characteristics in {run.steps} steps, {why}"):  # type: ignore[arg-type]
+            return True
+        if run is None and ("too long" in search.failed[-1] or "not smooth" in search.failed[-1]):
+            return False
+    return False
+
+
+class _Ladder:
+    """Fronts at several resolutions."""
+
+    def __init__(self, search: _Search):
+        self.search = search
+        self.coarse = _coarser(search.problem, search.grid)
+        self.stride = search.grid.cells // self.coarse.cells
+        self.u: dict[int, Array] = {}  # fronts -> u on the coarse grid
+        self.plain: dict[int, float] = {}  # fronts -> estimate if the order is two
+        self.steps = 0.0  # for each front
+        self.first = 0
+
+    def _run(self, fronts: int, grid: Grid) -> Run | None:
+        run = self.search.attempt(
+            lambda: track_fronts(self.search.problem, grid, fronts, self.search.progress), f"{fronts} fronts"
+        )
+        if run is not None:
+            self.u[fronts] = run.u[:, :: run.cells // self.coarse.cells]
+            self.steps = run.steps / fronts
+        return run
+
+    def _estimate(self, fronts: int) -> float:
+        """Of the error with so many fronts, from what is known with fewer; inf if nothing is."""
+        below = [n for n in self.u if APART[0] * n <= fronts <= APART[1] * n]
+        if not below:
+            return np.inf
+        n = max(below)
+        ratio = fronts / n
+        apart = float(np.abs(self.u[fronts] - self.u[n]).max())
+        self.plain[fronts] = apart / (ratio**2 - 1.0)
+        order = 2.0
+        earlier = [m for m in self.plain if m < fronts]
+        if earlier and self.plain[fronts] > 0.0:
+            m = max(earlier)
+            seen = np.log(max(self.plain[m], 1e-300) / self.plain[fronts]) / np.log(fronts / m)
+            order = float(np.clip(seen, 1.0, 2.0))
+        return SAFETY * apart / (ratio**order - 1.0) + ROUNDING
+
+    def pilot(self) -> float:
+        """How many fronts the tolerance takes; inf if the pilot does not get through."""
+        breaks = len(self.search.problem.profile.breaks(self.search.problem.law))
+        fronts = max(PILOT, PER_BREAK * breaks)
+        while fronts <= max(MOST_PILOT, PER_BREAK * breaks):
+            if self._run(fronts // 2, self.coarse) and self._run(fronts, self.coarse):
+                self.first, estimate = fronts, self._estimate(fronts)
+                return self._needed(fronts, estimate)
+            fronts *= 2
+        return np.inf
+
+    def _needed(self, fronts: int, estimate: float) -> float:
+        if estimate <= self.search.tolerance:
+            return float(fronts)
+        return float(np.ceil(fronts * np.sqrt(estimate / (AIM * self.search.tolerance))))
+
+    def work(self, fronts: float) -> float:
+        """Seconds, by count, that so many fronts will take."""
+        step = FRONT_STEP if self.search.problem.law.name == "rational" else TABLE_STEP
+        return step * self.steps * fronts**2 if np.isfinite(fronts) else np.inf
+
+    def solve(self, fronts: int) -> bool:
+        """Whether so many fronts meet the tolerance."""
+        search = self.search
+        if not any(APART[0] * n <= fronts <= APART[1] * n for n in self.u) and not self._run(fronts // 2, self.coarse):
+            return False
+        run = self._run(fronts, search.grid)
+        if run is None:
+            return False
+        reason = f"{fronts} fronts, because their error falls with their square"
+        if fronts == self.first:
+            reason = f"{fronts} fronts, because no fewer tell what their error is"
+        elif search.failed:
+            reason = f"{fronts} fronts, because {search.failed[-1]}"
+        self.last = fronts, self._estimate(fronts)
+        return search.offer(run, self.last[1], reason)
+
+    def next(self) -> float:
+        """How many to take after the last try."""
+        fronts, estimate = self.last
+        return float(np.clip(self._needed(fronts, estimate), APART[0] * fronts, 4.0 * fronts))
+
+
+def _coarser(problem: Problem, grid: Grid) -> Grid:
+    """Some of the nodes, enough to compare two runs on."""
+    for every in range(10, 1, -1):
+        if grid.cells % every == 0 and grid.cells // every >= COARSE_CELLS:
+            coarse = Grid(grid.left, grid.cells // every)
+            try:
+                problem.check(coarse)
+            except InputError:  # the first cell of a Python profile is too wide
+                continue
+            return coarse
+    return grid
+
+
+def _on_grids(search: _Search, method: str, on_grid: Callable[[Problem, Grid, str], Run]) -> bool:
+    """On grids of more and more cells, read on the nodes that are asked for."""
+    grid, cells = search.grid, search.grid.cells
+    before: Run | None = None
+    apart = np.inf
+    while cells <= max(MOST_CELLS, 2 * grid.cells):
+        run = search.attempt(lambda n=cells: on_grid(search.problem, Grid(grid.left, n), method), method)  # type: ignore[misc]
+        if run is None:
+            return False
+        every = cells // grid.cells
+        run = replace(
+            run, x=grid.nodes, x_cell=grid.centres, u=run.u[:, ::every], K=run.K[:, ::every],
+            q=run.q.reshape(len(run.time), grid.cells, every).mean(axis=2),
+        )  # fmt: skip
+        if before is not None:
+            previous, apart = apart, float(np.abs(run.u - before.u).max())
+            # the order that is seen, between one (a kink) and two; one as long as nothing is
+            ratio = float(np.clip(previous / apart if np.isfinite(previous) and apart > 0.0 else 2.0, 1.5, 4.0))
+            reason = f"{method} on {cells} cells, because neither fronts nor characteristics go through"
+            if search.offer(run, SAFETY * apart / (ratio - 1.0), reason):
+                return True
+        before, cells = run, 2 * cells
+    return False
