@@ -94,7 +94,7 @@ def closed_form(problem: Problem) -> ClosedForm | None:
 
 
 def evaluate(form: ClosedForm, problem: Problem, grid: Grid) -> Run:
-    """The exact solution as a run on a grid. Its error is estimated by the volume, of which it knows two expressions."""
+    """The exact solution as a run on a grid. Its error is estimated by two expressions of the volume."""
     started = time.perf_counter()
     law, times, end = form.law, problem.times, problem.end
     u = np.array([form.u(t, grid.nodes) for t in times])
@@ -110,7 +110,9 @@ def evaluate(form: ClosedForm, problem: Problem, grid: Grid) -> Run:
     eroded, outflow = form.eroded(end, float(left[0])), float(form.u(0.0, grid.nodes)[-1] - form.u(end, grid.nodes)[-1])
     allowed = 100.0 * ROUNDING * scale, "rounding"
     names = ("mass_budget", "volume_budget", "minimum_principle", "l1_decay")
-    watch = SnapshotBounds(grid, float(form.u(0.0, grid.nodes)[-1]), _volume(form, 0.0, grid), dict.fromkeys(names, allowed))
+    watch = SnapshotBounds(
+        grid, float(form.u(0.0, grid.nodes)[-1]), _volume(form, 0.0, grid), dict.fromkeys(names, allowed)
+    )
     watch.observe(0.0, form.u(0.0, grid.nodes) - grid.nodes, _volume(form, 0.0, grid), 0.0, 0.0)
     watch.observe(end, form.u(end, grid.nodes) - grid.nodes, _volume(form, end, grid), eroded, outflow)
     return Run(

@@ -29,8 +29,8 @@ from hjprofile.solvers.run import Array, Event, KinkRecord, Run
 REACH = 4.0  # spacings that the fastest front may cross in a step: then time adds little to the error of space
 FOLDS = 5000.0  # e-folds of K that are cut through: the time for a run grows with their square, 20 s for these
 FAN = 0.25  # most that a front of a fan may change ln R: coarser ones, where q changes its sign, run off towards q = -1
-# Fronts in all fans, as a part of the others: a quarter for a few fans, as many for so many fans and more. A survey of 60
-# pieces then costs twice the seconds and has a tenth of the error
+# Fronts in all fans, as a part of the others: a quarter for few fans, as many for so many fans and more. A survey of
+# 60 pieces then costs twice the seconds and has a tenth of the error
 FEWEST_IN_FANS, MANY_FANS = 0.25, 16
 NEAR = 0.05  # longest stretch for a Taylor series: its error (0.05)^4/24 is far below that of a front so far away
 TOLERANCE = 1e-13  # of one step of the exact integration
@@ -137,7 +137,9 @@ def _subdivide(marks: Array, pieces: Array) -> Array:
     """`marks` with the stretches between them cut into so many equal pieces."""
     first = np.repeat(np.cumsum(pieces) - pieces, pieces)
     length = np.diff(marks) / pieces
-    return np.append(np.repeat(marks[:-1], pieces) + (np.arange(first.size) - first) * np.repeat(length, pieces), marks[-1])
+    return np.append(
+        np.repeat(marks[:-1], pieces) + (np.arange(first.size) - first) * np.repeat(length, pieces), marks[-1]
+    )
 
 
 def _slope_at(law: ErosionLaw, r: float) -> float:

@@ -24,17 +24,20 @@ from hjprofile.solvers.run import Array, Run
 
 Progress = Callable[[float], None]
 
-SAFETY = 1.4  # of an estimate from two resolutions; true errors were 1.2 times the plain one in 19 of 20 random scenes
-AIM = 0.85  # part of the tolerance that the next resolution is to reach
+SAFETY = 1.5  # of an estimate from two resolutions; true errors were 1.2 times the plain one in 19 of 20 random scenes
+AIM = 0.7  # part of the tolerance that the next resolution is to reach
 PILOT, MOST_PILOT = 64, 1024  # fronts; more where these get through no better
 PER_BREAK = 4  # fronts of the pilot for each corner or jump: fewer tell two resolutions apart only in name
-APART = 1.6, 3.0  # least and largest ratio of two resolutions for an estimate
+APART = 1.6, 4.0  # least and largest ratio of two resolutions for an estimate
 MOST_FRONTS = 25600
 # Seconds, where they were measured, of a step of one front under a rational law and under others
 FRONT_STEP, TABLE_STEP = 1e-7, 4.5e-7
 QUICK, BREAK = 0.05, 0.012  # half of what characteristics usually take, and of what each corner or jump adds
 PATIENCE = 0.6  # part of the work of fronts after which characteristics are given up
-DIGITS = 1e-10, 1e-12  # coarsest and finest first tolerance of characteristics: coarser ones save nothing and lose kinks
+DIGITS = (
+    1e-10,
+    1e-12,
+)  # coarsest and finest first tolerance of characteristics: coarser ones save nothing and lose kinks
 ROUNDING = 1e-12  # of kinks by fronts, per unit of u
 MOST_CELLS = 64_000  # of a grid
 COARSE_CELLS = 200  # on which two runs are compared, at least
@@ -52,12 +55,12 @@ class _Search:
     failed: list[str] = field(default_factory=list)
     seconds: float = 0.0
 
-    def offer(self, run: Run | None, estimate: float, reason: str) -> bool:
-        """Keeps a run; whether it meets the tolerance."""
-        if run is None:
-            return False
-        self.done.append(replace(run, error_estimate=estimate, account=reason))
-        return estimate <= self.tolerance
+    def offer(self, run: Run, reason: str, estimate: float | None = None) -> bool:
+        """Keeps a run with the estimate of its error, its own if none is given; whether that meets the tolerance."""
+        known = estimate if estimate is not None else run.error_estimate
+        assert known is not None
+        self.done.append(replace(run, error_estimate=known, account=reason))
+        return known <= self.tolerance
 
     def attempt(self, solve: Callable[[], Run], name: str) -> Run | None:
         """A run that goes to its end, or None, with the reason noted."""
@@ -78,9 +81,8 @@ class _Search:
             raise RunError(
                 f"no method meets the tolerance {self.tolerance:g}: {'; '.join(self.failed)}; use the method godunov"
             )
-        run = min(self.done, key=lambda r: (r.error_estimate > self.tolerance, r.error_estimate))  # type: ignore[operator]
-        estimate = run.error_estimate
-        beyond = "" if estimate <= self.tolerance else ", which exceeds it: nothing that was tried meets it"  # type: ignore[operator]
+        estimate, run = min(((float(r.error_estimate or 0.0), r) for r in self.done), key=lambda pair: pair[0])
+        beyond = "" if estimate <= self.tolerance else ", which exceeds it: nothing that was tried meets it"
         account = f"{run.account}: error of u about {estimate:.1g} (tolerance {self.tolerance:g}{beyond}), "
         account += f"{self.seconds:.2g} s"
         case = resolved_case(self.problem, self.grid, "auto", tolerance=self.tolerance)
@@ -120,17 +122,17 @@ def least_work(
 
 
 def _closed_form(search: _Search) -> bool:
+    if isinstance(search.problem.profile, Kinks):  # fronts know these exactly, too, and sooner
+        return False
     try:
-        if isinstance(search.problem.profile, Kinks):  # fronts know these exactly, too, and sooner
-            return False
         form = closed_forms.closed_form(search.problem)
-        run = form and closed_forms.evaluate(form, search.problem, search.grid)
+        run = closed_forms.evaluate(form, search.problem, search.grid) if form else None
     except (ArithmeticError, ValueError, RuntimeError):  # numbers out of range
         return False
-    if run is None or not np.isfinite(run.u).all() or not np.isfinite(run.error_estimate):  # type: ignore[arg-type]
+    if run is None or not np.isfinite(run.u).all():
         return False
     search.seconds += run.wall_seconds
-    return search.offer(run, run.error_estimate, "the closed form, which these data have")  # type: ignore[arg-type]
+    return search.offer(run, "the closed form, which these data have")
 
 
 def _fronts_or_characteristics(search: _Search, characteristics: bool) -> bool:
@@ -141,7 +143,7 @@ def _fronts_or_characteristics(search: _Search, characteristics: bool) -> bool:
         if run is not None:
             scale = 1.0 + float(np.abs(run.u - run.x).max())
             estimate = 10.0 * max(run.volume_budget_error, ROUNDING * scale)
-            if search.offer(run, estimate, "fronts, which are exact because the data are kinks only"):
+            if search.offer(run, "fronts, which are exact because the data are kinks only", estimate):
                 return True
         return characteristics and _characteristics(search, np.inf, "because fronts do not reach it")
     ladder = _Ladder(search)
@@ -159,10 +161,10 @@ def _fronts_or_characteristics(search: _Search, characteristics: bool) -> bool:
                 return True
         if not np.isfinite(needed):
             break
-        n = int(min(needed, MOST_FRONTS))
-        if ladder.solve(n):
+        met, needed = ladder.solve(needed)
+        if met:
             return True
-        if n == MOST_FRONTS or not np.isfinite(needed := ladder.next()):
+        if not np.isfinite(needed):
             break
     return characteristics and _characteristics(search, np.inf, "because fronts do not reach it")
 
@@ -175,7 +177,7 @@ def _characteristics(search: _Search, patience: float, why: str) -> bool:
             lambda e=tolerance: solve_characteristics(search.problem, search.grid, e, search.progress, patience),  # type: ignore[misc]
             "characteristics",
         )
-        if run is not None and search.offer(run, run.error_estimate, f"characteristics in {run.steps} steps, {why}"):  # type: ignore[arg-type]
+        if run is not None and search.offer(run, f"characteristics in {run.steps} steps, {why}"):
             return True
         if run is None and ("too long" in search.failed[-1] or "not smooth" in search.failed[-1]):
             return False
@@ -190,17 +192,16 @@ class _Ladder:
         self.coarse = _coarser(search.problem, search.grid)
         self.stride = search.grid.cells // self.coarse.cells
         self.u: dict[int, Array] = {}  # fronts -> u on the coarse grid
-        self.plain: dict[int, float] = {}  # fronts -> estimate if the order is two
         self.steps = 0.0  # for each front
         self.first = 0
 
     def _run(self, fronts: int, grid: Grid) -> Run | None:
-        run = self.search.attempt(
-            lambda: track_fronts(self.search.problem, grid, fronts, self.search.progress), f"{fronts} fronts"
-        )
+        problem = self.search.problem
+        run = self.search.attempt(lambda: track_fronts(problem, grid, fronts, self.search.progress), f"{fronts} fronts")
         if run is not None:
             self.u[fronts] = run.u[:, :: run.cells // self.coarse.cells]
-            self.steps = run.steps / fronts
+            # a step that a saved time cut short says nothing about how many more fronts take
+            self.steps = max(run.steps - problem.kept, 0) / fronts
         return run
 
     def _estimate(self, fronts: int) -> float:
@@ -209,16 +210,7 @@ class _Ladder:
         if not below:
             return np.inf
         n = max(below)
-        ratio = fronts / n
-        apart = float(np.abs(self.u[fronts] - self.u[n]).max())
-        self.plain[fronts] = apart / (ratio**2 - 1.0)
-        order = 2.0
-        earlier = [m for m in self.plain if m < fronts]
-        if earlier and self.plain[fronts] > 0.0:
-            m = max(earlier)
-            seen = np.log(max(self.plain[m], 1e-300) / self.plain[fronts]) / np.log(fronts / m)
-            order = float(np.clip(seen, 1.0, 2.0))
-        return SAFETY * apart / (ratio**order - 1.0) + ROUNDING
+        return SAFETY * float(np.abs(self.u[fronts] - self.u[n]).max()) / ((fronts / n) ** 2 - 1.0) + ROUNDING
 
     def pilot(self) -> float:
         """How many fronts the tolerance takes; inf if the pilot does not get through."""
@@ -226,41 +218,49 @@ class _Ladder:
         fronts = max(PILOT, PER_BREAK * breaks)
         while fronts <= max(MOST_PILOT, PER_BREAK * breaks):
             if self._run(fronts // 2, self.coarse) and self._run(fronts, self.coarse):
-                self.first, estimate = fronts, self._estimate(fronts)
-                return self._needed(fronts, estimate)
+                self.first = fronts
+                return self._needed(fronts)
             fronts *= 2
         return np.inf
 
-    def _needed(self, fronts: int, estimate: float) -> float:
+    def _needed(self, fronts: int) -> float:
+        """How many the tolerance takes, by the error with so many."""
+        estimate = self._estimate(fronts)
         if estimate <= self.search.tolerance:
             return float(fronts)
         return float(np.ceil(fronts * np.sqrt(estimate / (AIM * self.search.tolerance))))
 
     def work(self, fronts: float) -> float:
         """Seconds, by count, that so many fronts will take."""
-        step = FRONT_STEP if self.search.problem.law.name == "rational" else TABLE_STEP
-        return step * self.steps * fronts**2 if np.isfinite(fronts) else np.inf
+        problem = self.search.problem
+        step = FRONT_STEP if problem.law.name == "rational" else TABLE_STEP
+        return step * fronts * (problem.kept + self.steps * fronts) if np.isfinite(fronts) else np.inf
 
-    def solve(self, fronts: int) -> bool:
-        """Whether so many fronts meet the tolerance."""
-        search = self.search
-        if not any(APART[0] * n <= fronts <= APART[1] * n for n in self.u) and not self._run(fronts // 2, self.coarse):
-            return False
+    def solve(self, needed: float) -> tuple[bool, float]:
+        """Whether about so many fronts, or what comes out on the way there, meet the tolerance; and how many might."""
+        search, fronts = self.search, int(min(needed, MOST_FRONTS))
+        most = max(self.u)
+        if fronts > APART[1] * most:  # half as many tell how many it really takes, and later what the error is
+            half = max(fronts // 2, int(APART[0] * most) + 1)
+            if not self._run(half, self.coarse):
+                return False, np.inf
+            if half <= APART[1] * most:
+                needed = self._needed(half)
+                fronts = int(min(needed, APART[1] * half, MOST_FRONTS))
+                if fronts > half:
+                    fronts = max(fronts, int(APART[0] * half) + 1)
         run = self._run(fronts, search.grid)
         if run is None:
-            return False
+            return False, np.inf
+        estimate = self._estimate(fronts)
         reason = f"{fronts} fronts, because their error falls with their square"
         if fronts == self.first:
             reason = f"{fronts} fronts, because no fewer tell what their error is"
         elif search.failed:
             reason = f"{fronts} fronts, because {search.failed[-1]}"
-        self.last = fronts, self._estimate(fronts)
-        return search.offer(run, self.last[1], reason)
-
-    def next(self) -> float:
-        """How many to take after the last try."""
-        fronts, estimate = self.last
-        return float(np.clip(self._needed(fronts, estimate), APART[0] * fronts, 4.0 * fronts))
+        if search.offer(run, reason, estimate):
+            return True, fronts
+        return False, max(self._needed(fronts), APART[0] * fronts) if fronts < MOST_FRONTS else np.inf
 
 
 def _coarser(problem: Problem, grid: Grid) -> Grid:
@@ -295,7 +295,7 @@ def _on_grids(search: _Search, method: str, on_grid: Callable[[Problem, Grid, st
             # the order that is seen, between one (a kink) and two; one as long as nothing is
             ratio = float(np.clip(previous / apart if np.isfinite(previous) and apart > 0.0 else 2.0, 1.5, 4.0))
             reason = f"{method} on {cells} cells, because neither fronts nor characteristics go through"
-            if search.offer(run, SAFETY * apart / (ratio - 1.0), reason):
+            if search.offer(run, reason, SAFETY * apart / (ratio - 1.0)):
                 return True
         before, cells = run, 2 * cells
     return False
