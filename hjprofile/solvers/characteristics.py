@@ -47,6 +47,7 @@ BUDGET = 30.0  # allowance of a budget in tolerances, of the size of its terms; 
 ROUNDING = 1e-14  # of W of order 1, after some hundred steps; measured 7e-14 at most on the rational closed forms
 CORNER = 1e-3  # part of a panel within which a birth beside a corner is at it; a sliver would halve every step
 FLOOR = 1e-13  # least step, as a part of the end
+TOO_LONG = "it would take too long"
 MOST_PANELS = 4000
 MOST_EVENTS = 200  # at one moment; each takes a kink, a panel or a label away
 
@@ -114,7 +115,7 @@ class _Solver:
         now, panels = self.now, self.now.panels
         self.patience -= TRY + LABEL * panels.r.size
         if self.patience < 0.0:
-            raise Lost("it would take too long")
+            raise Lost(TOO_LONG)
         off, off_top, tau = panels.off.copy(), panels.off_top.copy(), panels.tau.copy()
         new = np.empty(2 * panels.r.size + 2)
         error, found = kernels.step(

@@ -18,14 +18,14 @@ from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Kinks
 from hjprofile.solvers import closed_forms
-from hjprofile.solvers.characteristics import FINEST, solve_characteristics
-from hjprofile.solvers.fronts import track_fronts
+from hjprofile.solvers.characteristics import FINEST, TOO_LONG, solve_characteristics
+from hjprofile.solvers.fronts import REACH, track_fronts
 from hjprofile.solvers.run import Array, Run
 
 Progress = Callable[[float], None]
 
-SAFETY = 1.5  # of an estimate from two resolutions; true errors were 1.2 times the plain one in 19 of 20 random scenes
-AIM = 0.7  # part of the tolerance that the next resolution is to reach
+SAFETY = 1.3  # of an estimate from two resolutions; true errors were 1.2 times the plain one in 19 of 20 random scenes
+AIM = 0.8  # part of the tolerance that the next resolution is to reach
 PILOT, MOST_PILOT = 64, 1024  # fronts; more where these get through no better
 PER_BREAK = 4  # fronts of the pilot for each corner or jump: fewer tell two resolutions apart only in name
 APART = 1.6, 4.0  # least and largest ratio of two resolutions for an estimate
@@ -33,7 +33,7 @@ MOST_FRONTS = 25600
 # Seconds, where they were measured, of a step of one front under a rational law and under others
 FRONT_STEP, TABLE_STEP = 1e-7, 4.5e-7
 QUICK, BREAK = 0.05, 0.012  # half of what characteristics usually take, and of what each corner or jump adds
-PATIENCE = 0.6  # part of the work of fronts after which characteristics are given up
+PATIENCE = 0.5  # part of the work of fronts after which characteristics are given up
 DIGITS = (
     1e-10,
     1e-12,
@@ -150,15 +150,16 @@ def _fronts_or_characteristics(search: _Search, characteristics: bool) -> bool:
     needed = ladder.pilot()
     breaks = len(problem.profile.breaks(problem.law))
     least = QUICK + BREAK * breaks
-    untried = characteristics
+    spent = 0.0 if characteristics else np.inf
     while True:
         work = ladder.work(needed)
-        if untried and work > least:
-            untried = False
-            patience = PATIENCE * work if needed <= MOST_FRONTS else np.inf
+        if work > max(least, 2.0 * spent):
+            patience, spent = (PATIENCE * work if needed <= MOST_FRONTS else np.inf), work
             why = f"because {needed:.2g} fronts would cost more" if np.isfinite(needed) else "because fronts fail"
             if _characteristics(search, patience, why):
                 return True
+            if not (search.failed and search.failed[-1].endswith(TOO_LONG)):
+                spent = np.inf
         if not np.isfinite(needed):
             break
         met, needed = ladder.solve(needed)
@@ -166,7 +167,7 @@ def _fronts_or_characteristics(search: _Search, characteristics: bool) -> bool:
             return True
         if not np.isfinite(needed):
             break
-    return characteristics and _characteristics(search, np.inf, "because fronts do not reach it")
+    return np.isfinite(spent) and _characteristics(search, np.inf, "because fronts do not reach it")
 
 
 def _characteristics(search: _Search, patience: float, why: str) -> bool:
@@ -179,7 +180,7 @@ def _characteristics(search: _Search, patience: float, why: str) -> bool:
         )
         if run is not None and search.offer(run, f"characteristics in {run.steps} steps, {why}"):
             return True
-        if run is None and ("too long" in search.failed[-1] or "not smooth" in search.failed[-1]):
+        if run is None and (search.failed[-1].endswith(TOO_LONG) or "not smooth" in search.failed[-1]):
             return False
     return False
 
@@ -200,8 +201,12 @@ class _Ladder:
         run = self.search.attempt(lambda: track_fronts(problem, grid, fronts, self.search.progress), f"{fronts} fronts")
         if run is not None:
             self.u[fronts] = run.u[:, :: run.cells // self.coarse.cells]
-            # a step that a saved time cut short says nothing about how many more fronts take
-            self.steps = max(run.steps - problem.kept, 0) / fronts
+            speed = (run.K[:, 1:] * problem.law.derivative(run.q)).max(axis=1)
+            way = np.trapezoid(speed, run.time) if len(run.time) > 1 else speed[-1] * problem.end
+            start = problem.profile.start(1e-14)
+            steps = float(way) / (REACH * -max(start if np.isfinite(start) else grid.left, grid.left))
+            # each saved time may cut a step short
+            self.steps = float(np.clip(steps, max(run.steps - problem.kept, 0) / fronts, run.steps / fronts))
         return run
 
     def _estimate(self, fronts: int) -> float:
