@@ -24,7 +24,9 @@ from hjprofile.solvers.run import Array, Run
 
 Progress = Callable[[float], None]
 
-SAFETY = 1.3  # of an estimate from two resolutions; true errors were 1.2 times the plain one in 19 of 20 random scenes
+# Of an estimate from two resolutions, SAFETY (1 + FEW/fronts): with 1000 fronts and more true errors are within 1.3 of it
+# in 19 of 20 random scenes, with 100 within 4
+SAFETY, FEW = 1.3, 200
 AIM = 0.8  # part of the tolerance that the next resolution is to reach
 PILOT, MOST_PILOT = 64, 1024  # fronts; more where these get through no better
 PER_BREAK = 4  # fronts of the pilot for each corner or jump: fewer tell two resolutions apart only in name
@@ -215,7 +217,8 @@ class _Ladder:
         if not below:
             return np.inf
         n = max(below)
-        return SAFETY * float(np.abs(self.u[fronts] - self.u[n]).max()) / ((fronts / n) ** 2 - 1.0) + ROUNDING
+        apart = float(np.abs(self.u[fronts] - self.u[n]).max())
+        return SAFETY * (1.0 + FEW / fronts) * apart / ((fronts / n) ** 2 - 1.0) + ROUNDING
 
     def pilot(self) -> float:
         """How many fronts the tolerance takes; inf if the pilot does not get through."""
