@@ -42,7 +42,7 @@ TOLERANCE = 1e-12
 FINEST, COARSEST = 1e-13, 1e-4  # that may be asked for: finer is rounding
 STEPS = 1e-7  # coarsest tolerance of the steps: coarser ones save nothing, and at 1e-4 they can miss a birth
 COARSER, COARSE_STEPS = 100.0, 1e-6  # ratio of the tolerances of the two runs for the estimate; the second's most
-TRY, LABEL = 3e-4, 2e-6  # seconds that a step takes, and a label in it, where they were measured
+TRY, LABEL, READ = 3e-4, 2e-6, 1.5e-3  # seconds of a step, a label in it and a saved time, where they were measured
 BUDGET = 30.0  # allowance of a budget in tolerances, of the size of its terms; 2000 random runs kept it
 ROUNDING = 1e-14  # of W of order 1, after some hundred steps; measured 7e-14 at most on the rational closed forms
 CORNER = 1e-3  # part of a panel within which a birth beside a corner is at it; a sliver would halve every step
@@ -419,6 +419,7 @@ def _march(solver: _Solver, problem: Problem, grid: Grid, progress: Callable[[fl
             break
         finally:
             seconds += time.perf_counter() - started
+        solver.patience -= READ
         W, K = solver.read(grid.nodes)
         panels = solver.now.panels
         watch.observe(target, W, panels.volume(), *panels.totals.tolist())
