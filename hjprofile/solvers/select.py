@@ -1,4 +1,4 @@
-"""The least work that meets a tolerance on u: which method, at which resolution (theory, §18).
+"""The least work that meets a tolerance on u: which method, at which resolution (theory, "No more than a scene needs").
 
 A closed form if the data have one, and kinks exactly; otherwise a pilot of few fronts tells how many fronts the
 tolerance takes, and characteristics are preferred where they need less work than that. Work is counted, not timed, so
@@ -38,10 +38,7 @@ READ_FRONTS = 5e-4  # ... and of a saved time
 FAR = 8.0  # times as many fronts as were tried
 QUICK, BREAK = 0.05, 0.012  # half of what characteristics usually take, and of what each corner or jump adds
 PATIENCE = 0.5  # part of the work of fronts after which characteristics are given up
-DIGITS = (
-    1e-10,
-    1e-12,
-)  # coarsest and finest first tolerance of characteristics: coarser ones save nothing and lose kinks
+DIGITS = 1e-10, 1e-12  # coarsest and finest first tolerance of characteristics: coarser ones save nothing, lose kinks
 ROUNDING = 1e-12  # of kinks by fronts, per unit of u
 MOST_CELLS = 64_000  # of a grid
 COARSE_CELLS = 200  # on which two runs are compared, at least
@@ -195,7 +192,6 @@ class _Ladder:
     def __init__(self, search: _Search):
         self.search = search
         self.coarse = _coarser(search.problem, search.grid)
-        self.stride = search.grid.cells // self.coarse.cells
         self.u: dict[int, Array] = {}  # fronts -> u on the coarse grid
         self.plain: dict[int, float] = {}  # fronts -> the error by second order, with no allowance
         self.steps = 0.0  # for each front
@@ -232,7 +228,7 @@ class _Ladder:
             if self._run(fronts // 2, self.coarse) and self._run(fronts, self.coarse):
                 self.first = fronts
                 needed = self._needed(fronts)
-                while needed > FAR * fronts and self._run(4 * fronts, self.coarse):  # too far for a forecast
+                while FAR * fronts < needed <= MOST_FRONTS and self._run(4 * fronts, self.coarse):  # a far forecast
                     fronts *= 4
                     needed = self._needed(fronts)
                 return needed
