@@ -33,15 +33,15 @@ PER_BREAK = 4  # fronts of the pilot for each corner or jump: fewer tell two res
 APART = 1.6, 2.6  # least and largest ratio of two resolutions for an estimate; larger ones do for a forecast
 MOST_FRONTS = 25600
 # Seconds, where they were measured, of a step of one front under a rational law and under others
-FRONT_STEP, TABLE_STEP = 1e-7, 4.5e-7
+FRONT_STEP, TABLE_STEP = 1.5e-7, 4.5e-7
 READ_FRONTS = 5e-4  # ... and of a saved time
 FAR = 8.0  # times as many fronts as were tried
-QUICK, BREAK = 0.05, 0.012  # half of what characteristics usually take, and of what each corner or jump adds
+QUICK, BREAK = 0.04, 0.012  # half of what characteristics usually take, and of what each corner or jump adds
 PATIENCE = 0.5  # part of the work of fronts after which characteristics are given up
 DIGITS = 1e-10, 1e-12  # coarsest and finest first tolerance of characteristics: coarser ones save nothing, lose kinks
 ROUNDING = 1e-12  # of kinks by fronts, per unit of u
 MOST_CELLS = 64_000  # of a grid
-COARSE_CELLS = 200  # on which two runs are compared, at least
+COARSE_CELLS, COARSE_TIMES = 200, 10  # on which two runs are compared, at least
 
 
 @dataclass
@@ -192,18 +192,23 @@ class _Ladder:
     def __init__(self, search: _Search):
         self.search = search
         self.coarse = _coarser(search.problem, search.grid)
+        times = search.problem.times
+        self.rows = np.arange(times.size)[:: -max(1, times.size // COARSE_TIMES)][::-1]  # with the last
+        self.few = replace(search.problem, snapshots=times[self.rows].tolist())
         self.u: dict[int, Array] = {}  # fronts -> u on the coarse grid
         self.plain: dict[int, float] = {}  # fronts -> the error by second order, with no allowance
         self.steps = 0.0  # for each front
         self.first = 0
 
-    def _run(self, fronts: int, grid: Grid) -> Run | None:
-        problem = self.search.problem
+    def _run(self, fronts: int, last: bool = False) -> Run | None:
+        """A run of which few nodes and times are read, or, the last one, all."""
+        problem, grid = (self.search.problem, self.search.grid) if last else (self.few, self.coarse)
         run = self.search.attempt(lambda: track_fronts(problem, grid, fronts, self.search.progress), f"{fronts} fronts")
         if run is not None:
-            self.u[fronts] = run.u[:, :: run.cells // self.coarse.cells]
-            speed = (run.K[:, 1:] * problem.law.derivative(run.q)).max(axis=1)
-            way = np.trapezoid(speed, run.time) if len(run.time) > 1 else speed[-1] * problem.end
+            self.u[fronts] = run.u[self.rows if last else slice(None), :: run.cells // self.coarse.cells]
+            with np.errstate(all="ignore"):
+                speed = (run.K[:, 1:] * problem.law.derivative(run.q)).max(axis=1)
+            way = 0.5 * np.diff(run.time) @ (speed[1:] + speed[:-1]) if len(speed) > 1 else speed[-1] * problem.end
             start = problem.profile.start(1e-14)
             steps = float(way) / (REACH * -max(start if np.isfinite(start) else grid.left, grid.left))
             # each saved time may cut a step short
@@ -225,10 +230,10 @@ class _Ladder:
         breaks = len(self.search.problem.profile.breaks(self.search.problem.law))
         fronts = max(PILOT, PER_BREAK * breaks)
         while fronts <= max(MOST_PILOT, PER_BREAK * breaks):
-            if self._run(fronts // 2, self.coarse) and self._run(fronts, self.coarse):
+            if self._run(fronts // 2) and self._run(fronts):
                 self.first = fronts
                 needed = self._needed(fronts)
-                while FAR * fronts < needed <= MOST_FRONTS and self._run(4 * fronts, self.coarse):  # a far forecast
+                while FAR * fronts < needed <= MOST_FRONTS and self._run(4 * fronts):  # a far forecast
                     fronts *= 4
                     needed = self._needed(fronts)
                 return needed
@@ -258,11 +263,11 @@ class _Ladder:
         most = max(self.u)
         if fronts > APART[1] * most:  # half as many tell how many it really takes, and later what the error is
             half = max(fronts // 2, int(APART[0] * most) + 1)
-            if not self._run(half, self.coarse):
+            if not self._run(half):
                 return False, np.inf
             needed = max(self._needed(half), APART[0] * half + 1.0)
             fronts = int(min(needed, APART[1] * half, MOST_FRONTS))
-        run = self._run(fronts, search.grid)
+        run = self._run(fronts, last=True)
         if run is None:
             return False, np.inf
         estimate = self._estimate(fronts)

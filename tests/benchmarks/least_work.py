@@ -24,11 +24,12 @@ import hjprofile as hj
 
 FIGURE = Path(__file__).resolve().parents[2] / "docs" / "figures" / "least_work.png"
 TOLERANCES = [10.0**-k for k in range(2, 10)]
-FRONTS = 32, 64, 100, 150, 200, 300, 400, 600, 800, 1200, 1600, 2400, 3200, 4800, 6400
+FRONTS = 32, 64, 100, 200, 300, 400, 600, 800, 1200, 1600, 2400, 3200, 4800
 CHARACTERISTICS = 1e-6, 1e-8, 1e-10, 1e-12
-CELLS = 250, 500, 1000, 2000
-RANDOM = 4, 5, 7, 11  # seeds of random scenes
-REPEATS, PATIENCE = 3, 2.0  # seconds after which a ladder is not climbed further
+CELLS = 250, 1000
+SHIPPED = "breaking_bump", "deposit", "hillslope", "steady_slope", "two_kinks", "user_law"
+RANDOM = 4, 7  # seeds of random scenes
+REPEATS, PATIENCE = 3, 0.7  # seconds after which a ladder is not climbed further
 BLUE, ORANGE = "#0072B2", "#D55E00"
 
 
@@ -86,7 +87,7 @@ def compare(problem, grid):
 
 def scenes():
     """Name -> problem and grid."""
-    for name in hj.shipped_cases():
+    for name in SHIPPED:
         case = hj.load_case(name)
         yield name, case.problem, case.grid
     for seed in RANDOM:
