@@ -27,7 +27,7 @@ Progress = Callable[[float], None]
 # Of an estimate from two resolutions, SAFETY (1 + FEW/fronts): from 1000 fronts on true errors are within 1.3 of it
 # in 19 of 20 random scenes, with 100 within 4
 SAFETY, FEW = 1.3, 200
-AIM = 0.75  # part of the tolerance that the next resolution is to reach
+AIM = 0.6  # part of the tolerance that the next resolution is to reach
 PILOT, MOST_PILOT = 64, 1024  # fronts; more where these get through no better
 PER_BREAK = 4  # fronts of the pilot for each corner or jump: fewer tell two resolutions apart only in name
 APART = 1.6, 2.6  # least and largest ratio of two resolutions for an estimate; larger ones do for a forecast
@@ -35,6 +35,7 @@ MOST_FRONTS = 25600
 # Seconds, where they were measured, of a step of one front under a rational law and under others
 FRONT_STEP, TABLE_STEP = 1.5e-7, 4.5e-7
 READ_FRONTS = 5e-4  # ... and of a saved time
+MORE = 1.25  # times as many, at least, where a try misses
 FAR = 8.0  # times as many fronts as were tried
 QUICK, BREAK = 0.04, 0.012  # half of what characteristics usually take, and of what each corner or jump adds
 PATIENCE = 0.5  # part of the work of fronts after which characteristics are given up
@@ -248,7 +249,7 @@ class _Ladder:
         wanted = AIM * self.search.tolerance
         n = fronts * np.sqrt(SAFETY * self.plain[fronts] / wanted)
         n = fronts * np.sqrt(SAFETY * (1.0 + FEW / max(n, fronts)) * self.plain[fronts] / wanted)
-        return float(np.ceil(max(n, APART[0] * fronts)))
+        return float(np.ceil(max(n, MORE * fronts)))
 
     def work(self, fronts: float) -> float:
         """Seconds, by count, that so many fronts will take."""
@@ -267,6 +268,8 @@ class _Ladder:
                 return False, np.inf
             needed = max(self._needed(half), APART[0] * half + 1.0)
             fronts = int(min(needed, APART[1] * half, MOST_FRONTS))
+        if not any(APART[0] * n <= fronts <= APART[1] * n for n in self.u):
+            fronts = int(APART[0] * max(self.u)) + 1
         run = self._run(fronts, last=True)
         if run is None:
             return False, np.inf
@@ -278,7 +281,7 @@ class _Ladder:
             reason = f"{fronts} fronts, because {search.failed[-1]}"
         if search.offer(run, reason, estimate):
             return True, fronts
-        return False, max(self._needed(fronts), APART[0] * fronts) if fronts < MOST_FRONTS else np.inf
+        return False, max(self._needed(fronts), MORE * fronts) if fronts < MOST_FRONTS else np.inf
 
 
 def _coarser(problem: Problem, grid: Grid) -> Grid:
