@@ -344,7 +344,8 @@ def _account(run: Run) -> str:
     if run.error_estimate is not None:
         lines.append(f"  error       of u at most {run.error_estimate:.2g}, by estimate")
     if run.account:
-        lines.insert(1, f"  data        {run.account}")
+        label = "chosen" if run.case["solver"]["method"] == "auto" else "data"
+        lines.insert(1, f"  {label:11} {run.account}")
     return "\n".join(lines)
 
 

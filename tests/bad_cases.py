@@ -85,7 +85,7 @@ NOT = {
 KEYS = [  # (section, its table, key, what it must be, whether it may be left out)
     ("erosion", VALID["erosion"], "law", TEXT, False),
     ("profile", VALID["profile"], "kind", TEXT, False),
-    ("domain", VALID["domain"], "left", NUMBER, False),
+    ("domain", VALID["domain"], "left", NUMBER, True),
     ("domain", VALID["domain"], "cells", WHOLE, False),
     ("time", VALID["time"], "end", NUMBER, False),
     ("solver", VALID["solver"], "method", TEXT, True),
@@ -125,7 +125,7 @@ for _section, _table, _key, _what, _optional in KEYS:
 for _section in ("erosion", "profile", "domain", "time", "solver", "output", "expect"):
     for _value in (3, "text", [1], True):
         BAD[f"{_section} = {_value!r}"] = ({_section: _value}, "", [f"{_section} = {_value!r} must be a table"])
-for _section, _first in (("erosion", "law"), ("profile", "kind"), ("domain", "left"), ("time", "end")):
+for _section, _first in (("erosion", "law"), ("profile", "kind"), ("domain", "cells"), ("time", "end")):
     BAD[f"no {_section}"] = ({_section: REMOVED}, _section, [f"{_first} is missing"])
 BAD |= {
     "title": ({"title": 3}, "", ["title = 3 must be a string"]),

@@ -112,7 +112,12 @@ def test_options_override_the_case(folder, call):
 
 def test_a_tolerance_is_met_and_the_estimate_told(folder, call):
     code, out, _ = call("run", "bare.toml", "--tolerance", "1e-6")
-    assert code == 0 and "characteristics, 160 cells" in out and "  error       of u at most " in out
+    assert (
+        code == 0
+        and "fronts, 160 cells" in out
+        and "  chosen      fronts, which are exact" in out
+        and "  error       of u at most " in out
+    )
     run = load_run("results/bare")
     assert run.method == "characteristics" and 0 < run.error_estimate <= 1e-6
     assert json.loads(Path("results/bare/summary.json").read_text())["error_estimate"] == run.error_estimate

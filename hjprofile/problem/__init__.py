@@ -12,7 +12,7 @@ from hjprofile.problem.coefficient import Coefficient
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.line import moved, tail
-from hjprofile.problem.profiles import Profile
+from hjprofile.problem.profiles import TAIL, Profile
 
 LAYER_METHOD = "conservative-telescoping"  # for its flux the bed loses exactly what the layer gains
 CARRY_STEPS = "telescoping", "conservative-telescoping", "fronts"  # move a vertical step at its right speed
@@ -97,11 +97,11 @@ class Problem:
             return np.zeros(1)
         return np.linspace(0.0, self.end, self.snapshots) if self.snapshots > 1 else np.array([float(self.end)])
 
-    def grid(self) -> Grid:
+    def grid(self, tail: float = TAIL) -> Grid:
         """A grid over the profile, for methods whose accuracy does not depend on it. Raises InputError if unknown."""
         if self.line == "whole":
             raise InputError("line = 'whole' needs a grid that says where the window ends")
-        return self.profile.grid()
+        return self.profile.grid(tail=tail)
 
     def check_method(self, method: str, refresh: float | None = None) -> None:
         """Raises InputError if the method cannot solve this problem on any grid, with a factor that is kept so long."""

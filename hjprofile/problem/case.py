@@ -272,8 +272,9 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
     layer, domain, time, solver, output = (sections[k] for k in ("layer", "domain", "time", "solver", "output"))
     thickness = layer.take("thickness", _number, 0.0)
     line = domain.take("line", _text, "half")
-    grid_values = {"left": domain.take("left", _number), "cells": domain.take("cells", _whole)}
-    grid_values["right"] = domain.take("right", _number, ... if line == "whole" else 0.0)
+    left = domain.take("left", _number, ... if line == "whole" else None)
+    cells = domain.take("cells", _whole)
+    right = domain.take("right", _number, ... if line == "whole" else 0.0)
     time_values = {"end": time.take("end", _number), "snapshots": time.take("snapshots", _count_or_times, 31)}
     method, cfl = solver.take("method", _text, DEFAULT_METHOD), solver.take("cfl", _positive, DEFAULT_CFL)
     tolerance, refresh = solver.take("tolerance", _positive, None), solver.take("refresh", _positive, None)
@@ -283,7 +284,8 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
         section.finish()
     section = domain
     try:
-        grid = Grid(**grid_values)
+        tail = min(profiles.TAIL, 0.01 * tolerance) if tolerance else profiles.TAIL
+        grid = profile.grid(cells, tail) if left is None else Grid(left, cells, right)
         section = time
         problem = Problem(law, profile, title=title, coefficient=given, **time_values)
         section = layer

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from hjprofile.errors import InputError
+
+FARTHEST, LOOKS = 4096.0, 2000  # how far down a function is looked at, and at how many places between x and 2x
+NOISE = 1e-11  # of the difference quotients there
 
 
 @dataclass(frozen=True)
@@ -65,3 +69,29 @@ class Grid:
                 f"cells = {self.cells} with {snapshots} snapshots needs {min(needed, 2**99) / 2**30:.3g} GiB of "
                 f"memory and this machine has {memory / 2**30:.3g}; {remedy}"
             )
+
+
+def grid_from(start: float, cells: int) -> Grid:
+    """A grid that begins a little left of where q does. Raises InputError if that is not a number."""
+    if not np.isfinite(start):
+        raise InputError("left must be given: a flux enters at the left end, wherever that is")
+    return Grid(1.05 * min(start, 0.0) - 0.05, cells)
+
+
+def start_of(W: Callable[[np.ndarray], np.ndarray], tail: float) -> float:
+    """Where the slope W' of a function of x <= 0 begins to differ from 0 by more than `tail`, by looking at it.
+
+    Raises InputError if it cannot be looked at, or does so on the far left.
+    """
+    x = -np.concatenate([np.arange(LOOKS) / LOOKS, 2.0 ** (np.arange(np.log2(FARTHEST) * LOOKS + 1) / LOOKS)])[::-1]
+    try:
+        slope = np.diff(W(x)) / np.diff(x)
+    except Exception as error:
+        what = f"{type(error).__name__}: {error}"
+        raise InputError(f"left must be given: the profile has no height down to x = {x[0]:g} ({what})") from error
+    away = ~(np.abs(slope) <= max(tail, NOISE))  # nor NaN
+    if away[0]:
+        raise InputError(
+            f"left must be given: the profile is not critical (u_x = 1) at x = {x[0]:g}, but u_x = {1 + slope[0]:.6g}"
+        )
+    return float(x[np.argmax(away)]) if away.any() else 0.0

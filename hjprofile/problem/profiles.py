@@ -14,10 +14,11 @@ import numpy as np
 
 from hjprofile.errors import InputError
 from hjprofile.problem.erosion import Array, ErosionLaw
-from hjprofile.problem.grid import Grid
+from hjprofile.problem.grid import Grid, grid_from, start_of
 from hjprofile.problem.units import Units
 
 TAIL = 1e-6  # mass and slope that a grid may cut off on the left; a grid solver's own error is larger
+GAUSS = np.polynomial.legendre.leggauss(16)
 
 
 def _numbers(name: str, values: Any, least: int = 1) -> Array:
@@ -84,12 +85,9 @@ class Profile:
         """The leftmost point at which q may differ from 0 by more than `tail`."""
         raise NotImplementedError
 
-    def grid(self, cells: int = 2000) -> Grid:
-        """A grid over the profile, for methods whose accuracy does not depend on it."""
-        start = self.start()
-        if not np.isfinite(start):
-            raise InputError("the left end of this profile is not known: give a grid")
-        return Grid(1.05 * start - 0.05, cells)
+    def grid(self, cells: int = 2000, tail: float = TAIL) -> Grid:
+        """A grid over the profile, from a little left of where q begins to differ from 0 by more than `tail`."""
+        return grid_from(self.start(tail), cells)
 
     def breaks(self, law: ErosionLaw) -> Array:
         """Where q jumps or has a corner: rows (x, q on the left, q on the right), from left to right."""
@@ -353,7 +351,7 @@ class Steady(Profile):
         first = float(np.min(x)) if self.kink is None else self.kink
         ordered, back = np.unique(np.maximum(x, first), return_inverse=True)
         edges = np.concatenate([[first], ordered])
-        z, weights = np.polynomial.legendre.leggauss(16)
+        z, weights = GAUSS
         h = np.diff(edges)
         at = edges[:-1, None] + 0.5 * h[:, None] * (1.0 + z)
         return np.cumsum(0.5 * h * (self.excess(at, law) @ weights))[back].reshape(x.shape)
@@ -371,7 +369,10 @@ class Given(Profile):
         return self.source or {"kind": "python", "file": "", "function": getattr(self.u, "__name__", "u")}
 
     def start(self, tail: float = TAIL) -> float:
-        return np.nan  # not known; `check` looks at the first cell
+        return np.nan  # not known for certain; `check` looks at the first cell
+
+    def grid(self, cells: int = 2000, tail: float = TAIL) -> Grid:
+        return grid_from(start_of(lambda x: self.W(x, None), tail), cells)  # type: ignore[arg-type]
 
     def check(self, grid: Grid, law: ErosionLaw) -> None:
         try:

@@ -42,16 +42,13 @@ from hjprofile.solvers.whole_line import also_on_the_whole_line
 TOLERANCE = 1e-12
 FINEST, COARSEST = 1e-13, 1e-4  # that may be asked for: finer is rounding
 STEPS = 1e-7  # coarsest tolerance of the steps: coarser ones save nothing, and at 1e-4 they can miss a birth
-COARSER, COARSE_STEPS = (
-    100.0,
-    1e-6,
-)  # ratio of the tolerances of the two runs that estimate the error; the second's most
+COARSER, COARSE_STEPS = 100.0, 1e-6  # ratio of the tolerances of the two runs for the estimate; the second's most
+TRY, LABEL, READ = 3e-4, 2e-6, 1.5e-3  # seconds of a step, a label in it and a saved time, where they were measured
 BUDGET = 30.0  # allowance of a budget in tolerances, of the size of its terms; 2000 random runs kept it
 ROUNDING = 1e-14  # of W of order 1, after some hundred steps; measured 7e-14 at most on the rational closed forms
-CORNER = (
-    1e-3  # part of a panel within which a birth beside a corner is one at it; a sliver between would halve every step
-)
+CORNER = 1e-3  # part of a panel within which a birth beside a corner is at it; a sliver would halve every step
 FLOOR = 1e-13  # least step, as a part of the end
+TOO_LONG = "it would take too long"
 MOST_PANELS = 4000
 MOST_EVENTS = 200  # at one moment; each takes a kink, a panel or a label away
 
@@ -78,8 +75,8 @@ class _Stretch:
 class _Solver:
     """Characteristics on their way."""
 
-    def __init__(self, problem: Problem, panels: Panels, table: LawTable, tolerance: float):
-        self.table, self.tolerance, self.end = table, tolerance, problem.end
+    def __init__(self, problem: Problem, panels: Panels, table: LawTable, tolerance: float, patience: float):
+        self.table, self.tolerance, self.end, self.patience = table, tolerance, problem.end, patience
         self.now = _Stretch(panels, 0.0, np.nan)
         self.r0 = float(problem.law.R(0.0))
         self.h = 0.01 * max(problem.end, 1e-300)
@@ -117,6 +114,9 @@ class _Solver:
         from scipy.integrate import DOP853  # half a second of imports, which runs on a grid do without
 
         now, panels = self.now, self.now.panels
+        self.patience -= TRY + LABEL * panels.r.size
+        if self.patience < 0.0:
+            raise Lost(TOO_LONG)
         off, off_top, tau = panels.off.copy(), panels.off_top.copy(), panels.tau.copy()
         new = np.empty(2 * panels.r.size + 2)
         error, found = kernels.step(
@@ -328,10 +328,12 @@ def solve_characteristics(
     grid: Grid | None = None,
     tolerance: float = TOLERANCE,
     progress: Callable[[float], None] | None = None,
+    patience: float = np.inf,
 ) -> Run:
     """Solves by shock-fitted characteristics, to `tolerance` in u, and reads the result on a grid (theory, §5).
 
     A second run with a coarser tolerance gives `error_estimate`. The grid is by default 2000 cells over the profile.
+    `patience` is the most work, in seconds but by count, so that every machine gives up at the same point.
     Where the method cannot go on, `status` says when, where and why, and the last saved time is the last good one.
     Raises InputError for bad input and where a flux enters at the left end.
     """
@@ -349,8 +351,9 @@ def solve_characteristics(
         raise RunError(f"stopped at t = 0: {error}; use the method fronts") from None
     table = _table(problem, panels)
     steps = min(tolerance, STEPS)
-    coarse = _march(_Solver(problem, panels, table, min(COARSER * steps, COARSE_STEPS)), problem, grid)
-    fine = _march(_Solver(problem, panels, table, steps), problem, grid, progress)
+    first = _Solver(problem, panels, table, min(COARSER * steps, COARSE_STEPS), patience)
+    coarse = _march(first, problem, grid)
+    fine = _march(_Solver(problem, panels, table, steps, first.patience), problem, grid, progress)
     if not len(fine.W):
         raise RunError(fine.status)
     both = min(len(coarse.W), len(fine.W))
@@ -418,6 +421,7 @@ def _march(solver: _Solver, problem: Problem, grid: Grid, progress: Callable[[fl
             break
         finally:
             seconds += time.perf_counter() - started
+        solver.patience -= READ
         W, K = solver.read(grid.nodes)
         panels = solver.now.panels
         watch.observe(target, W, panels.volume(), *panels.totals.tolist())

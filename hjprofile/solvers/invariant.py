@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.polynomial import polynomial as P
 
-from hjprofile.problem.erosion import Array, ErosionLaw
+from hjprofile.problem.erosion import Array, ErosionLaw, Function
 from hjprofile.solvers.kernels.law import LawTable
 
 PIECE = 0.05  # width of the pieces: degree 7 leaves (PIECE/4)^8 = 6e-16
+ROOM = 0.25  # in ln(1 + q), to which the ends of a table are rounded: runs of one slope then share it
 LEAST = 1e-14  # 1 + s/offset that rounding leaves meaningful: where r is smaller yet, s no longer tells
 _Z = np.cos(np.pi * (np.arange(8) + 0.5) / 8)  # where a piece is sampled
 _FIT = np.linalg.inv(np.vander(_Z, 8, increasing=True)).T
@@ -23,18 +26,24 @@ def law_table(law: ErosionLaw, q_least: float, q_most: float) -> LawTable:
     if law.name == "rational":
         empty = np.empty((0, 8))
         return LawTable(empty, empty, empty, 0.0, 0.0, 1.0, 1.0, 1.0)
+    low, high = np.log1p([q_least, q_most]) / ROOM
+    return _tabulated(law.f, law.R, ROOM * float(np.floor(low)), ROOM * float(np.ceil(high)))
+
+
+@lru_cache(maxsize=8)  # by the identity of f
+def _tabulated(law_f: Function, law_R: Function, v_least: float, v_most: float) -> LawTable:
     from scipy.optimize import elementwise
 
-    rho0 = float(np.log(law.R(0.0)))
-    v = np.log1p([q_least, q_most])
-    ends = np.atleast_1d(np.log(law.R(np.expm1(v))))
+    rho0 = float(np.log(law_R(0.0)))
+    v = np.array([v_least, v_most])
+    ends = np.atleast_1d(np.log(law_R(np.expm1(v))))
     # rho0 in the middle of a piece, so that the zeros of f and s there are exact
     below = max(0, int(np.ceil((rho0 - ends[0]) / PIECE - 0.5)))
     above = max(0, int(np.ceil((ends[1] - rho0) / PIECE - 0.5)))
     start, pieces = rho0 - (below + 0.5) * PIECE, below + above + 1
     rho = start + PIECE * (np.arange(pieces)[:, None] + 0.5 * (_Z + 1.0))
     bracket = np.full_like(rho, v[0] - 0.5), np.full_like(rho, v[1] + 2.0)
-    f = law.f(np.expm1(elementwise.find_root(lambda v, rho: np.log(law.R(np.expm1(v))) - rho, bracket, args=(rho,)).x))
+    f = law_f(np.expm1(elementwise.find_root(lambda v, rho: np.log(law_R(np.expm1(v))) - rho, bracket, args=(rho,)).x))
     f_table = f @ _FIT
     f_table[below, 0] = 0.0
 

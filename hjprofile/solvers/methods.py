@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from hjprofile.errors import InputError, RunError
+from hjprofile.errors import InputError
 from hjprofile.monitors.bounds import (
     HIGHER_ORDER,
     LOCAL,
@@ -20,12 +20,13 @@ from hjprofile.monitors.bounds import (
     WITH_LAYER,
     BoundsMonitor,
     Promises,
-)  # fmt: skip
+)
 from hjprofile.monitors.kinks import KinkTracker
 from hjprofile.monitors.vertical_steps import StepMonitor
 from hjprofile.problem import OFF_GRID, Problem
 from hjprofile.problem.case import DEFAULT_CFL, DEFAULT_METHOD, Case, resolved_case
 from hjprofile.problem.grid import Grid
+from hjprofile.problem.profiles import TAIL
 from hjprofile.solvers import conservation, hj
 from hjprofile.solvers.characteristics import COARSEST, FINEST, TOLERANCE, solve_characteristics
 from hjprofile.solvers.factor import check_refresh
@@ -33,12 +34,11 @@ from hjprofile.solvers.fronts import track_fronts
 from hjprofile.solvers.high_order import ORDERS
 from hjprofile.solvers.march import Scheme, march
 from hjprofile.solvers.run import Keeper, Monitor, Run
+from hjprofile.solvers.select import least_work
 from hjprofile.solvers.vertical_steps import step_law
 from hjprofile.solvers.whole_line import also_on_the_whole_line
 
 Progress = Callable[[float], None]
-
-FRONTS = 1600, 12800  # where characteristics cannot go on: the first try, and the most
 
 HJ_METHODS = (*hj.FLUXES, *ORDERS)
 CONSERVATIVE_METHODS = ("conservative", *conservation.FLUXES, *conservation.HIGH_ORDER)
@@ -92,33 +92,19 @@ def solve_conservative(
 
 
 def solve(problem: Problem, tolerance: float, grid: Grid | None = None, progress: Progress | None = None) -> Run:
-    """Solves to a tolerance on sup|u - exact u| over all saved times: by characteristics, else by fronts.
+    """Solves to a tolerance on sup|u - exact u| over all saved times with the least work (`solvers/select.py`).
 
-    `error_estimate` says what was reached, and `account` what was done where characteristics cannot go on.
+    The result is read on `grid`, by default 2000 cells over the profile. `method` says what was chosen, `account` why,
+    and `error_estimate` what was reached.
     """
     if not FINEST <= tolerance <= 1.0:
         raise InputError(f"tolerance = {tolerance:g} must lie between {FINEST:g} and 1")
-    problem.check(grid := grid or problem.grid(), "auto")
-    try:
-        run = solve_characteristics(problem, grid, min(max(0.1 * tolerance, FINEST), COARSEST), progress)
-        if run.done and run.error_estimate is not None and run.error_estimate <= tolerance:
-            return run
-        why = f"reach an error of about {run.error_estimate:.2g} only" if run.done else run.status
-    except RunError as error:
-        why = str(error)
-    fronts = FRONTS[0]
-    coarse = track_fronts(problem, grid, fronts // 2)
-    while True:
-        run = track_fronts(problem, grid, fronts, progress)
-        both = min(len(run.u), len(coarse.u))
-        estimate = float(np.abs(run.u[:both] - coarse.u[:both]).max())
-        if estimate <= tolerance or fronts >= FRONTS[1] or not run.done:
-            break
-        fronts, coarse = 2 * fronts, run
-    account = f"characteristics {why.partition('; use')[0]}; solved with {fronts} fronts instead"
-    if estimate > tolerance:
-        account += f", whose error of about {estimate:.2g} exceeds the tolerance"
-    return replace(run, error_estimate=estimate, account="; ".join(filter(None, (run.account, account))))
+    problem.check(grid := grid or problem.grid(tail=min(TAIL, 0.01 * tolerance)), "auto")
+
+    def on_grid(problem: Problem, grid: Grid, method: str) -> Run:
+        return _solve(problem, grid, method, DEFAULT_CFL, progress)
+
+    return least_work(problem, grid, tolerance, on_grid, progress)
 
 
 def check_method(case: Case) -> None:

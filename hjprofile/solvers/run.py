@@ -161,7 +161,7 @@ class Run:
         volume_budget_error: the most by which the eroded volume ever differed from ∫(K(left) - 1) dt.
         error_estimate: of sup|u - exact u| over all saved times, where the method knows one, else None.
         units: the way back to a survey's units, else None.
-        account: what was done to the data, or "".
+        account: what was done to the data, and what the method auto chose and why, or "".
     """
 
     title: str

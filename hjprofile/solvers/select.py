@@ -1,0 +1,324 @@
+"""The least work that meets a tolerance on u: which method, at which resolution (theory, "No more than a scene needs").
+
+A closed form if the data have one, and kinks exactly; otherwise a pilot of few fronts tells how many fronts the
+tolerance takes, and characteristics are preferred where they need less work than that. Work is counted, not timed, so
+that the choice is the same on every machine and a case solves to the same numbers again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hjprofile.errors import InputError, RunError
+from hjprofile.problem import Problem
+from hjprofile.problem.case import resolved_case
+from hjprofile.problem.grid import Grid
+from hjprofile.problem.profiles import Kinks
+from hjprofile.solvers import closed_forms
+from hjprofile.solvers.characteristics import FINEST, READ, TOO_LONG, solve_characteristics
+from hjprofile.solvers.fronts import REACH, track_fronts
+from hjprofile.solvers.run import Array, Run
+from hjprofile.solvers.whole_line import also_on_the_whole_line
+
+Progress = Callable[[float], None]
+
+# Of an estimate from two resolutions, SAFETY (1 + FEW/fronts): from 1000 fronts on true errors are within 1.3 of it
+# in 19 of 20 random scenes, with 100 within 4
+SAFETY, FEW = 1.3, 200
+AIM = 0.6  # part of the tolerance that the next resolution is to reach
+PILOT, MOST_PILOT = 64, 1024  # fronts; more where these get through no better
+PER_BREAK = 4  # fronts of the pilot for each corner or jump: fewer tell two resolutions apart only in name
+APART = 1.6, 2.6  # least and largest ratio of two resolutions for an estimate; larger ones do for a forecast
+MOST_FRONTS = 25600
+# Seconds, where they were measured, of a step of one front under a rational law and under others
+FRONT_STEP, TABLE_STEP = 1.5e-7, 4.5e-7
+READ_FRONTS = 5e-4  # ... and of a saved time
+MORE = 1.25  # times as many, at least, where a try misses
+FAR = 8.0  # times as many fronts as were tried
+QUICK, BREAK = 0.04, 0.012  # half of what characteristics usually take, and of what each corner or jump adds
+PATIENCE = 0.5  # part of the work of fronts after which characteristics are given up
+DIGITS = 1e-10, 1e-12  # coarsest and finest first tolerance of characteristics: coarser ones save nothing, lose kinks
+ROUNDING = 1e-12  # of kinks by fronts, per unit of u
+MOST_CELLS = 64_000  # of a grid
+COARSE_CELLS, COARSE_TIMES = 200, 10  # on which two runs are compared, at least
+
+
+@dataclass
+class _Search:
+    """What was tried, and what came of it."""
+
+    problem: Problem
+    grid: Grid
+    tolerance: float
+    progress: Progress | None
+    done: list[Run] = field(default_factory=list)  # with an estimate, and `account` the reason to take it
+    failed: list[str] = field(default_factory=list)
+    seconds: float = 0.0
+
+    def offer(self, run: Run, reason: str, estimate: float | None = None) -> bool:
+        """Keeps a run with the estimate of its error, its own if none is given; whether that meets the tolerance."""
+        known = estimate if estimate is not None else run.error_estimate
+        assert known is not None
+        self.done.append(replace(run, error_estimate=known, account=reason))
+        return known <= self.tolerance
+
+    def attempt(self, solve: Callable[[], Run], name: str) -> Run | None:
+        """A run that goes to its end, or None, with the reason noted."""
+        try:
+            run = solve()
+        except RunError as error:
+            self.failed.append(f"{name} {str(error).partition('; use')[0]}")
+            return None
+        self.seconds += run.wall_seconds
+        if not run.done:
+            self.failed.append(f"{name} {run.status.partition('; use')[0]}")
+            return None
+        return run
+
+    def result(self) -> Run:
+        """The best of what was tried. Raises RunError if nothing went to its end."""
+        if not self.done:
+            raise RunError(
+                f"no method meets the tolerance {self.tolerance:g}: {'; '.join(self.failed)}; use the method godunov"
+            )
+        estimate, run = min(((float(r.error_estimate or 0.0), r) for r in self.done), key=lambda pair: pair[0])
+        beyond = "" if estimate <= self.tolerance else ", which exceeds it: nothing that was tried meets it"
+        account = f"{run.account}: error of u about {estimate:.1g} (tolerance {self.tolerance:g}{beyond}), "
+        account += f"{self.seconds:.2g} s"
+        case = resolved_case(self.problem, self.grid, "auto", tolerance=self.tolerance)
+        account = "; ".join(filter(None, (self.problem.profile.account, account)))
+        return replace(run, case=case, account=account, wall_seconds=self.seconds)
+
+
+def candidates(problem: Problem) -> tuple[str, ...]:
+    """The methods that can solve this problem; one that only some can solve narrows the list here."""
+    if problem.profile.inflow:
+        return ("closed form", "grid")
+    return ("closed form", "fronts", "characteristics", "grid")
+
+
+@also_on_the_whole_line
+def least_work(
+    problem: Problem,
+    grid: Grid,
+    tolerance: float,
+    on_grid: Callable[[Problem, Grid, str], Run],
+    progress: Progress | None = None,
+) -> Run:
+    """Solves to a tolerance on sup|u - exact u| over all saved times with as little work as is known to do.
+
+    `on_grid` solves with a method on a grid. Raises RunError if nothing goes to its end.
+    """
+    can = candidates(problem)
+    search = _Search(problem, grid, tolerance, progress)
+    if "closed form" in can and _closed_form(search):
+        return search.result()
+    if "fronts" in can and _fronts_or_characteristics(search, "characteristics" in can):
+        return search.result()
+    if not search.done:
+        for method in ("conservative", "godunov"):
+            if _on_grids(search, method, on_grid):
+                break
+    return search.result()
+
+
+def _closed_form(search: _Search) -> bool:
+    if isinstance(search.problem.profile, Kinks):  # fronts know these exactly, too, and sooner
+        return False
+    try:
+        form = closed_forms.closed_form(search.problem)
+        run = closed_forms.evaluate(form, search.problem, search.grid) if form else None
+    except (ArithmeticError, ValueError, RuntimeError):  # numbers out of range
+        return False
+    if run is None or not np.isfinite(run.u).all():
+        return False
+    search.seconds += run.wall_seconds
+    return search.offer(run, "the closed form, which these data have")
+
+
+def _fronts_or_characteristics(search: _Search, characteristics: bool) -> bool:
+    """Whether either of them meets the tolerance, the one that is thought to take less work first."""
+    problem = search.problem
+    if isinstance(problem.profile, Kinks):
+        run = search.attempt(lambda: track_fronts(problem, search.grid, progress=search.progress), "front tracking")
+        if run is not None:
+            scale = 1.0 + float(np.abs(run.u - run.x).max())
+            estimate = 10.0 * max(run.volume_budget_error, ROUNDING * scale)
+            if search.offer(run, "fronts, which are exact because the data are kinks only", estimate):
+                return True
+        return characteristics and _characteristics(search, np.inf, "because fronts do not reach it")
+    ladder = _Ladder(search)
+    needed = ladder.pilot()
+    breaks = len(problem.profile.breaks(problem.law))
+    least = QUICK + BREAK * breaks + READ * problem.kept
+    spent = 0.0 if characteristics else np.inf
+    while True:
+        work = ladder.work(needed)
+        if work > max(least, 2.0 * spent):
+            patience, spent = (PATIENCE * work if needed <= MOST_FRONTS else np.inf), work
+            why = f"because {needed:.2g} fronts would cost more" if np.isfinite(needed) else "because fronts fail"
+            if _characteristics(search, patience, why):
+                return True
+            if not (search.failed and search.failed[-1].endswith(TOO_LONG)):
+                spent = np.inf
+        if not np.isfinite(needed):
+            break
+        met, needed = ladder.solve(needed)
+        if met:
+            return True
+        if not np.isfinite(needed):
+            break
+    return np.isfinite(spent) and _characteristics(search, np.inf, "because fronts do not reach it")
+
+
+def _characteristics(search: _Search, patience: float, why: str) -> bool:
+    """By characteristics, to a second tolerance if the first does not do."""
+    first = float(np.clip(1e-3 * search.tolerance, DIGITS[1], DIGITS[0]))
+    for tolerance in (first, FINEST):
+        run = search.attempt(
+            lambda e=tolerance: solve_characteristics(search.problem, search.grid, e, search.progress, patience),  # type: ignore[misc]
+            "characteristics",
+        )
+        if run is not None and search.offer(run, f"characteristics in {run.steps} steps, {why}"):
+            return True
+        if run is None and (search.failed[-1].endswith(TOO_LONG) or "not smooth" in search.failed[-1]):
+            return False
+    return False
+
+
+class _Ladder:
+    """Fronts at several resolutions."""
+
+    def __init__(self, search: _Search):
+        self.search = search
+        self.coarse = _coarser(search.problem, search.grid)
+        times = search.problem.times
+        self.rows = np.arange(times.size)[:: -max(1, times.size // COARSE_TIMES)][::-1]  # with the last
+        self.few = replace(search.problem, snapshots=times[self.rows].tolist())
+        self.u: dict[int, Array] = {}  # fronts -> u on the coarse grid
+        self.plain: dict[int, float] = {}  # fronts -> the error by second order, with no allowance
+        self.steps = 0.0  # for each front
+        self.first = 0
+
+    def _run(self, fronts: int, last: bool = False) -> Run | None:
+        """A run of which few nodes and times are read, or, the last one, all."""
+        problem, grid = (self.search.problem, self.search.grid) if last else (self.few, self.coarse)
+        run = self.search.attempt(lambda: track_fronts(problem, grid, fronts, self.search.progress), f"{fronts} fronts")
+        if run is not None:
+            self.u[fronts] = run.u[self.rows if last else slice(None), :: run.cells // self.coarse.cells]
+            with np.errstate(all="ignore"):
+                speed = (run.K[:, 1:] * problem.law.derivative(run.q)).max(axis=1)
+            way = 0.5 * np.diff(run.time) @ (speed[1:] + speed[:-1]) if len(speed) > 1 else speed[-1] * problem.end
+            start = problem.profile.start(1e-14)
+            steps = float(way) / (REACH * -max(start if np.isfinite(start) else grid.left, grid.left))
+            # each saved time may cut a step short
+            self.steps = float(np.clip(steps, max(run.steps - problem.kept, 0) / fronts, run.steps / fronts))
+        return run
+
+    def _estimate(self, fronts: int, apart_at_most: float = APART[1]) -> float:
+        """Of the error with so many fronts, from what is known with fewer; inf if nothing is."""
+        below = [n for n in self.u if APART[0] * n <= fronts <= apart_at_most * n]
+        if not below:
+            return np.inf
+        n = max(below)
+        apart = float(np.abs(self.u[fronts] - self.u[n]).max())
+        self.plain[fronts] = apart / ((fronts / n) ** 2 - 1.0)
+        return SAFETY * (1.0 + FEW / fronts) * self.plain[fronts] + ROUNDING
+
+    def pilot(self) -> float:
+        """How many fronts the tolerance takes; inf if the pilot does not get through."""
+        breaks = len(self.search.problem.profile.breaks(self.search.problem.law))
+        fronts = max(PILOT, PER_BREAK * breaks)
+        while fronts <= max(MOST_PILOT, PER_BREAK * breaks):
+            if self._run(fronts // 2) and self._run(fronts):
+                self.first = fronts
+                needed = self._needed(fronts)
+                while FAR * fronts < needed <= MOST_FRONTS and self._run(4 * fronts):  # a far forecast
+                    fronts *= 4
+                    needed = self._needed(fronts)
+                return needed
+            fronts *= 2
+        return np.inf
+
+    def _needed(self, fronts: int) -> float:
+        """How many the tolerance takes, by the error with so many."""
+        estimate = self._estimate(fronts, np.inf)
+        if estimate <= self.search.tolerance:
+            return float(fronts)
+        wanted = AIM * self.search.tolerance
+        n = fronts * np.sqrt(SAFETY * self.plain[fronts] / wanted)
+        n = fronts * np.sqrt(SAFETY * (1.0 + FEW / max(n, fronts)) * self.plain[fronts] / wanted)
+        return float(np.ceil(max(n, MORE * fronts)))
+
+    def work(self, fronts: float) -> float:
+        """Seconds, by count, that so many fronts will take."""
+        problem = self.search.problem
+        step = FRONT_STEP if problem.law.name == "rational" else TABLE_STEP
+        moved = step * fronts * (problem.kept + self.steps * fronts) if np.isfinite(fronts) else np.inf
+        return moved + READ_FRONTS * problem.kept
+
+    def solve(self, needed: float) -> tuple[bool, float]:
+        """Whether about so many fronts, or what comes out on the way there, meet the tolerance; and how many might."""
+        search, fronts = self.search, int(min(needed, MOST_FRONTS))
+        most = max(self.u)
+        if fronts > APART[1] * most:  # half as many tell how many it really takes, and later what the error is
+            half = max(fronts // 2, int(APART[0] * most) + 1)
+            if not self._run(half):
+                return False, np.inf
+            needed = max(self._needed(half), APART[0] * half + 1.0)
+            fronts = int(min(needed, APART[1] * half, MOST_FRONTS))
+        if not any(APART[0] * n <= fronts <= APART[1] * n for n in self.u):
+            fronts = int(APART[0] * max(self.u)) + 1
+        run = self._run(fronts, last=True)
+        if run is None:
+            return False, np.inf
+        estimate = self._estimate(fronts)
+        reason = f"{fronts} fronts, because their error falls with their square"
+        if fronts == self.first:
+            reason = f"{fronts} fronts, because no fewer tell what their error is"
+        elif search.failed:
+            reason = f"{fronts} fronts, because {search.failed[-1]}"
+        if search.offer(run, reason, estimate):
+            return True, fronts
+        return False, max(self._needed(fronts), MORE * fronts) if fronts < MOST_FRONTS else np.inf
+
+
+def _coarser(problem: Problem, grid: Grid) -> Grid:
+    """Some of the nodes, enough to compare two runs on."""
+    for every in range(10, 1, -1):
+        if grid.cells % every == 0 and grid.cells // every >= COARSE_CELLS:
+            coarse = replace(grid, cells=grid.cells // every)
+            try:
+                problem.check(coarse, "auto")
+            except InputError:  # the first cell of a Python profile is too wide
+                continue
+            return coarse
+    return grid
+
+
+def _on_grids(search: _Search, method: str, on_grid: Callable[[Problem, Grid, str], Run]) -> bool:
+    """On grids of more and more cells, read on the nodes that are asked for."""
+    grid, cells = search.grid, search.grid.cells
+    before: Run | None = None
+    apart = np.inf
+    while cells <= max(MOST_CELLS, 2 * grid.cells):
+        run = search.attempt(lambda n=cells: on_grid(search.problem, replace(grid, cells=n), method), method)  # type: ignore[misc]
+        if run is None:
+            return False
+        every = cells // grid.cells
+        run = replace(
+            run, x=grid.nodes, x_cell=grid.centres, u=run.u[:, ::every], K=run.K[:, ::every],
+            q=run.q.reshape(len(run.time), grid.cells, every).mean(axis=2),
+        )  # fmt: skip
+        if before is not None:
+            previous, apart = apart, float(np.abs(run.u - before.u).max())
+            # the order that is seen, between one (a kink) and two; one as long as nothing is
+            ratio = float(np.clip(previous / apart if np.isfinite(previous) and apart > 0.0 else 2.0, 1.5, 4.0))
+            reason = f"{method} on {cells} cells, because neither fronts nor characteristics go through"
+            if search.offer(run, reason, SAFETY * apart / (ratio - 1.0)):
+                return True
+        before, cells = run, 2 * cells
+    return False
