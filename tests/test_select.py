@@ -14,6 +14,9 @@ from hjprofile.solvers import select
 from hjprofile.solvers.closed_forms import closed_form
 
 T2 = hj.bumps([0.8, -0.3], [-5.0, -3.0], [1.0, 0.5])
+# a prescribed coefficient, a rolling layer and vertical steps are for methods whose order is the first at best
+REFUSED = {"drying_channel", "thin_layer", "vertical_step"}
+TAKEN = [name for name in hj.shipped_cases() if name not in REFUSED]
 FACTOR = 30.0  # by which an estimate may be too small
 
 
@@ -65,12 +68,19 @@ def test_random_scenes():
     assert min(ratios) >= 1.0 / FACTOR and max(ratios) <= FACTOR
 
 
-@pytest.mark.parametrize("name", hj.shipped_cases())
+@pytest.mark.parametrize("name", TAKEN)
 def test_shipped_cases(name):
     case, count = hj.load_case(name), Counter()
     ratios = judge(case.problem, case.grid, (1e-2, 1e-4), count)
     assert count["runs"] == 2 and not count["tolerance not met"] and not count["estimate above the tolerance"]
     assert all(1.0 / FACTOR <= r <= FACTOR for r in ratios)
+
+
+@pytest.mark.parametrize("name", sorted(REFUSED))
+def test_what_it_cannot_take_is_refused(name):
+    case = hj.load_case(name)
+    with pytest.raises(hj.InputError, match="follows the invariant I|rolling layer|vertical steps"):
+        hj.solve(case.problem, 1e-3, case.grid)
 
 
 @pytest.mark.slow
@@ -89,7 +99,7 @@ def test_two_hundred_random_scenes(capsys):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", hj.shipped_cases())
+@pytest.mark.parametrize("name", TAKEN)
 def test_shipped_cases_to_all_tolerances(name):
     case, count = hj.load_case(name), Counter()
     judge(case.problem, case.grid, [10.0**-k for k in range(2, 10)], count)
@@ -158,7 +168,7 @@ def test_the_left_end_is_found():
     for profile, least, most in ((T2, -9.7, -8.7), (hj.steps([-6.0, -4.0], [0.5]), -6.5, -6.0), (tanh, -11.0, -9.0)):
         grid = profile.grid(100)
         assert least <= grid.left <= most
-        hj.Problem(hj.rational(), profile, end=1.0).check(grid)
+        hj.Problem(hj.rational(), profile, end=1.0).check(grid, "auto")
     assert T2.grid(100, tail=1e-11).left < T2.grid(100).left - 1.0
     with pytest.raises(hj.InputError, match=r"left must be given: the profile is not critical .* x = -4096"):
         hj.profile(lambda x: 2.0 * x).grid()
