@@ -119,7 +119,7 @@ def test_a_tolerance_is_met_and_the_estimate_told(folder, call):
         and "  error       of u at most " in out
     )
     run = load_run("results/bare")
-    assert run.method == "characteristics" and 0 < run.error_estimate <= 1e-6
+    assert run.method == "fronts" and 0 < run.error_estimate <= 1e-6
     assert json.loads(Path("results/bare/summary.json").read_text())["error_estimate"] == run.error_estimate
     fine = solve_case(dataclasses.replace(load_case("bare.toml"), method="fronts"))  # exact for kinks
     assert np.abs(run.u - fine.u).max() <= run.error_estimate
