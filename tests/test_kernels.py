@@ -29,7 +29,9 @@ means = st.lists(st.floats(-0.9, 6.0), min_size=5, max_size=90)
 def factors(grid, levels, seed):
     """For each kind of factor: what the plain scheme takes, and the kernels, for levels dt apart."""
     rng = np.random.default_rng(seed)
-    k = np.exp(rng.uniform(-1.0, 1.0, (levels, grid.nodes.size)))
+    # from node to node no more than K changes where f is 2: a rougher one would carry edge values below -1
+    walk = np.cumsum(rng.uniform(-0.04, 0.04, (levels, grid.nodes.size)), axis=1)
+    k = np.exp(np.clip(walk, -1.0, 1.0))
     steady, varying = Factor(grid), Factor(grid)
     steady.held = k[0]
     varying.given = lambda after=0.0, nodes=None: k[round(float(after) * 1e9) % levels][None]
