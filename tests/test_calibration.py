@@ -269,7 +269,7 @@ def test_the_example_of_the_docs(in_tmp, call):
 
     def told(text):
         text = re.sub(r"in [\d.]+ s, \d+ evaluations", "", text)
-        return number.sub("#", text), [float(n) for n in number.findall(text)]
+        return number.sub("#", text).split(), [float(n) for n in number.findall(text)]
 
     assert told(printed)[0] == told(shown)[0]
     assert told(printed)[1] == pytest.approx(told(shown)[1], rel=2e-3)
