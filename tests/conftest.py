@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from hjprofile import cli
+
 np.seterr(all="raise", under="ignore")  # a silent overflow or NaN in the library fails the test that meets it
 
 
@@ -11,3 +13,15 @@ def in_tmp(tmp_path, monkeypatch):
     """A working directory of one's own."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+@pytest.fixture
+def call(capsys):
+    """Runs a command in this process; exit code, stdout, stderr."""
+
+    def call(*arguments):
+        with pytest.raises(SystemExit) as left:
+            cli.main([str(a) for a in arguments])
+        return left.value.code, *capsys.readouterr()
+
+    return call

@@ -11,7 +11,6 @@ import pytest
 import tomli_w
 
 import hjprofile as hj
-from hjprofile import cli
 from hjprofile.evidence import calibration
 from hjprofile.solvers.closed_forms import closed_form
 
@@ -208,18 +207,6 @@ def test_what_never_moves(slope):
     assert height[0] == pytest.approx(0.0, abs=1e-9)
     model = calibration._Model(path, ["time.end"])
     assert model.heights(np.zeros(1), x)[0] == pytest.approx(0.0, abs=1e-9)
-
-
-@pytest.fixture
-def call(capsys):
-    """Runs a command in this process; exit code, stdout, stderr."""
-
-    def call(*arguments):
-        with pytest.raises(SystemExit) as left:
-            cli.main([str(a) for a in arguments])
-        return left.value.code, *capsys.readouterr()
-
-    return call
 
 
 def save(path, x, height):

@@ -50,18 +50,6 @@ def folder(in_tmp):
     return in_tmp
 
 
-@pytest.fixture
-def call(capsys):
-    """Runs a command in this process; exit code, stdout, stderr."""
-
-    def call(*arguments):
-        with pytest.raises(SystemExit) as left:
-            cli.main([str(a) for a in arguments])
-        return left.value.code, *capsys.readouterr()
-
-    return call
-
-
 def contents(folder):
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in Path(folder).rglob("*") if p.is_file()}
 

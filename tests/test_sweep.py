@@ -17,7 +17,6 @@ import tomli_w
 import xarray as xr
 
 import hjprofile as hj
-from hjprofile import cli
 from hjprofile.evidence import sweep as evidence
 from hjprofile.evidence.sweep import QUANTITIES
 from hjprofile.output import workers
@@ -54,18 +53,6 @@ def write_case(folder, name="scene", **changes):
 @pytest.fixture
 def scene(in_tmp):
     return write_case(in_tmp)
-
-
-@pytest.fixture
-def call(capsys):
-    """Runs a command in this process; exit code, stdout, stderr."""
-
-    def call(*arguments):
-        with pytest.raises(SystemExit) as left:
-            cli.main([str(a) for a in arguments])
-        return left.value.code, *capsys.readouterr()
-
-    return call
 
 
 @pytest.fixture

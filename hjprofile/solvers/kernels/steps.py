@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.solvers.kernels import compiled
+from hjprofile.solvers.kernels.fronts import top_front
 from hjprofile.solvers.kernels.law import polynomial
 
 CROWDED = 0.25  # part of a time step that is taken where a slope is about to become vertical
@@ -161,15 +162,6 @@ def sweep(x, jump, is_step, y, n, top, law, v_left, v_right, r_left, r_right, m,
             speed[j] = K[j] * (b / r_right[j] - a / r_left[j]) / (b - a)
         # the piece on the right moves as a whole, with K/R
         drift[j] = law.rate * (speed[j] - K[j] / r_right[j]) * (1.0 - y[j]) if is_step[j] else 0.0
-
-
-@compiled
-def top_front(x, n):
-    """The front whose piece on the right holds x = 0."""
-    top = n - 1
-    while top > 0 and x[top] > 0.0:
-        top -= 1
-    return top
 
 
 @compiled
