@@ -30,6 +30,7 @@ Progress = Callable[[float], None]
 SAFETY, FEW = 1.3, 300
 AIM = 0.6  # part of the tolerance that the next resolution is to reach
 PILOT, MOST_PILOT = 64, 1024  # fronts; more where these get through no better
+USUAL, MOST_GUESS = 350.0, 500  # estimates times the square of fronts in ordinary scenes; no larger pilot for that
 PER_BREAK = 4  # fronts of the pilot for each corner or jump: fewer tell two resolutions apart only in name
 APART = 1.6, 2.6  # least and largest ratio of two resolutions for an estimate; larger ones do for a forecast
 MOST_FRONTS = 25600
@@ -201,7 +202,8 @@ class _Ladder:
         self.u: dict[int, Array] = {}  # fronts -> u on the coarse grid
         self.plain: dict[int, float] = {}  # fronts -> the error by second order, with no allowance
         self.steps = 0.0  # for each front
-        self.first = 0
+        self.first = 0  # fronts of the pilot, which is read on all nodes, as it may do
+        self.whole: Run | None = None
 
     def _run(self, fronts: int, last: bool = False) -> Run | None:
         """A run of which few nodes and times are read, or, the last one, all."""
@@ -231,10 +233,10 @@ class _Ladder:
     def pilot(self) -> float:
         """How many fronts the tolerance takes; inf if the pilot does not get through."""
         breaks = len(self.search.problem.profile.breaks(self.search.problem.law))
-        fronts = max(PILOT, PER_BREAK * breaks)
+        fronts = max(PILOT, PER_BREAK * breaks, int(min(np.sqrt(USUAL / self.search.tolerance), MOST_GUESS)))
         while fronts <= max(MOST_PILOT, PER_BREAK * breaks):
-            if self._run(fronts // 2) and self._run(fronts):
-                self.first = fronts
+            if self._run(fronts // 2) and (run := self._run(fronts, last=True)):
+                self.first, self.whole = fronts, run
                 needed = self._needed(fronts)
                 while (
                     FAR * fronts < needed <= MOST_FRONTS and 4 * fronts <= MOST_FORECAST and self._run(4 * fronts)
@@ -274,7 +276,7 @@ class _Ladder:
             fronts = int(min(needed, APART[1] * half, MOST_FRONTS))
         if not any(APART[0] * n <= fronts <= APART[1] * n for n in self.u):
             fronts = int(APART[0] * max(self.u)) + 1
-        run = self._run(fronts, last=True)
+        run = self.whole if fronts == self.first else self._run(fronts, last=True)
         if run is None:
             return False, np.inf
         estimate = self._estimate(fronts)
