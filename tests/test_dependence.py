@@ -97,6 +97,16 @@ def test_what_cannot_be_studied_is_refused():
         study.dependence("still", still, hj.Grid(-6.0, 100))
 
 
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("thin_layer", "rolling layer"), ("vertical_step", "vertical steps"), ("travelling_wave", "half line")],
+)
+def test_other_models_are_refused_by_their_case(name, words):
+    case = hj.load_case(name)
+    with pytest.raises(InputError, match=f"^{name}: .*{words}"):
+        study.dependence(name, case.problem, case.grid)
+
+
 def test_the_picture_shows_every_pair(distances):
     panels = draw_dependence(distances).axes
     assert len(panels) == 4

@@ -27,6 +27,7 @@ from hjprofile.problem.grid import Grid
 from hjprofile.solvers.methods import solve_hj
 from hjprofile.solvers.run import Array, Run
 
+METHOD = "godunov"
 CELLS = 1000
 MOMENTS = 41  # saved times, ends included, over which E is integrated
 SIZES = (0.3, 0.03, 0.003)  # of a disturbance, as a part of ‖q‖₁ (of 1 where that is smaller)
@@ -36,7 +37,9 @@ WAVES = 4  # disturbances of a coefficient, each a sum of SUMMANDS
 SUMMANDS = 3
 REFRESHES = (64, 32, 16, 8)  # time steps of mean length that make a fractional step
 PIECES = 4  # a disturbance is a step function of so many pieces at most
-ALLOWANCE = 1e-9  # of a bound: rounding, where a slope's norm stays what it was
+# Part of a bound by which a distance may exceed it. The norm of one slope stays what it was, to rounding; two slopes
+# take time steps of different lengths, and their errors differ by that: measured 1.1 % with a prescribed coefficient
+ALLOWANCE = {"data": 0.02, "zero": 1e-9, "coefficient": 0.02}
 SHARE = 0.5  # of 1 + q, which no disturbance exceeds
 
 
@@ -69,6 +72,12 @@ def dependence(
     By the method `godunov` on CELLS cells: the contractions of the theory hold for a monotone scheme too. Raises
     InputError where something flows in or no time passes, RunError where a run stops.
     """
+    try:
+        problem.check_method(METHOD)
+    except InputError as error:
+        raise InputError(f"{case}: disturbed slopes are followed by {METHOD}, and {error}") from None
+    if problem.line == "whole":
+        raise InputError(f"{case}: dependence is of the half line; it cannot take line = 'whole'")
     if problem.profile.inflow:
         raise InputError(f"{case}: something flows in at the left end; dependence needs a profile with q = 0 there")
     if not problem.end > 0.0:
@@ -94,7 +103,7 @@ class _Study:
 
     def solve(self, problem: Problem) -> Run:
         """Its solution; raises RunError if there is none."""
-        run = solve_hj(problem, self.grid, "godunov")
+        run = solve_hj(problem, self.grid, METHOD)
         if not run.done:
             raise RunError(f"{self.case}: {run.status}")
         return run
@@ -145,7 +154,7 @@ class _Study:
     def refreshes(self) -> Iterator[list[Distance]]:
         """K anew in every step, and K frozen over fractional steps: means over time (see `fractional`)."""
         lengths = [self.problem.end * min(steps / max(self.base.steps, 1), 1.0) for steps in REFRESHES]
-        found = fractional_steps(self.problem, self.grid, "godunov", lengths)
+        found = fractional_steps(self.problem, self.grid, METHOD, lengths)
         for member, step in enumerate(found.steps, start=1):
             yield [
                 Distance(self.case, study, member, step.refresh, self.problem.end, distance, np.nan)
@@ -218,15 +227,17 @@ def summary(distances: Sequence[Distance]) -> tuple[list[str], str]:
         for study in ("coefficient", "refresh", "refresh kinks")
     }
     kinks = order["refresh kinks"]
+    grows = "never grows" if share["zero"] <= 1.0 + ALLOWANCE["zero"] else "GROWS"
     sentences = [
         f"data         ‖q - q̃‖₁ <= e^(Lt) ‖q - q̃‖₁(0) with L = {max(L):.3g} for {pairs['data']} pairs "
         f"({', '.join(f'{value:.3g}' for value in L)} from far to near); at most {share['data']:.2g} of the bound",
-        f"zero         ‖q‖₁ {'never grows' if share['zero'] <= 1.0 + ALLOWANCE else 'GROWS'}, {pairs['zero']} slopes",
+        f"zero         ‖q‖₁ {grows}, {pairs['zero']} slopes",
         f"coefficient  ‖q - q̃‖₁ is of order {order['coefficient']:.2f} in k - k̃, {pairs['coefficient']} pairs; at most "
         f"{share['coefficient']:.2g} of the bound",
         f"refresh      ‖q - q̃‖₁ is of order {order['refresh']:.2f} in the fractional step"
         + (f", the distance of kinks of order {kinks:.2f}" if np.isfinite(kinks) else ""),
     ]
-    worst = max(share, key=lambda study: share[study])
+    over = {study: share[study] - 1.0 - allowed for study, allowed in ALLOWANCE.items()}
+    worst = max(over, key=lambda study: over[study])
     failed = f"a distance of the study {worst!r} is {share[worst]:.4g} times its bound"
-    return sentences, failed if share[worst] > 1.0 + ALLOWANCE else ""
+    return sentences, failed if over[worst] > 0.0 else ""
