@@ -43,7 +43,9 @@ def _tabulated(law_f: Function, law_R: Function, v_least: float, v_most: float) 
     start, pieces = rho0 - (below + 0.5) * PIECE, below + above + 1
     rho = start + PIECE * (np.arange(pieces)[:, None] + 0.5 * (_Z + 1.0))
     bracket = np.full_like(rho, v[0] - 0.5), np.full_like(rho, v[1] + 2.0)
-    f = law_f(np.expm1(elementwise.find_root(lambda v, rho: np.log(law_R(np.expm1(v))) - rho, bracket, args=(rho,)).x))
+    with np.errstate(invalid="ignore"):  # where an interpolation has no root, the search bisects
+        root = elementwise.find_root(lambda v, rho: np.log(law_R(np.expm1(v))) - rho, bracket, args=(rho,))
+    f = law_f(np.expm1(root.x))
     f_table = f @ _FIT
     f_table[below, 0] = 0.0
 
