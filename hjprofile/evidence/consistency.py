@@ -74,7 +74,8 @@ def check_consistency(
     steep = problem.law.grows_linearly
     finest = min(max(grid.cells, LEAST_CELLS), MOST_CELLS) // 8 * 8
     ladder = [finest // 8, finest // 4, finest // 2, finest]
-    plan = [(m, n) for m in (("telescoping",) if steep else (*HJ_METHODS, "conservative")) for n in ladder]
+    ordered = ("telescoping", "conservative") if steep else (*HJ_METHODS, "conservative")
+    plan = [(m, n) for m in ordered for n in ladder]
     carried = () if steep else HJ_METHODS
     plan += [(m, finest) for m in ("telescoping", *(f"conservative-{m}" for m in (*carried, "telescoping")))]
     plan = list(dict.fromkeys(plan))
@@ -130,13 +131,16 @@ def _steep(runs: dict[tuple[str, int], Run], ladder: list[int], problem: Problem
     """Slopes without bound: identity as a part of the steepest slope, the budget, and fronts as the witness."""
     finest = runs["telescoping", ladder[-1]]
     yield _identity(runs, ladder[-1], "telescoping", 1.0 + float(np.abs(finest.q).max()))
-    yield _bounded("budget:telescoping", ladder[-1], finest.volume_budget_error, ROUNDING, "to rounding")
+    for method in ("telescoping", "conservative"):
+        error = runs[method, ladder[-1]].volume_budget_error
+        yield _bounded(f"budget:{method}", ladder[-1], error, ROUNDING, "to rounding")
     if problem.profile.inflow:
         return
     exact = track_fronts(problem, Grid(grid.left, ladder[-1]))
     if exact.done:
-        apart = [compare(runs["telescoping", n], exact).height_l1 for n in ladder]
-        yield _ordered("fronts:telescoping:u", ladder, apart, ORDER_U)
+        for method in ("telescoping", "conservative"):
+            apart = [compare(runs[method, n], exact).height_l1 for n in ladder]
+            yield _ordered(f"fronts:{method}:u", ladder, apart, ORDER_U)
 
 
 def _independence(runs: dict[tuple[str, int], Run], ladder: list[int]) -> Iterator[Check]:

@@ -39,6 +39,11 @@ MONOTONE: Promises = MappingProxyType(
 TELESCOPING: Promises = MappingProxyType({**MONOTONE, "volume_budget": EXACT})
 # a law of linear growth (theory, §14): q is without bound, and so is its variation
 STEEP: Promises = MappingProxyType({**TELESCOPING, **dict.fromkeys(("upper_bound", "tv_growth"))})
+STEEP_SECOND_ORDER: Promises = MappingProxyType(
+    {name: kept and FIRST_ORDER for name, kept in STEEP.items()}
+    | {"mass_budget": EXACT, "volume_budget": EXACT}
+    | dict.fromkeys(("flux_maximum", "flux_variation", "kruzkov"))
+)
 LOCAL: Promises = MappingProxyType(
     {**MONOTONE, **dict.fromkeys(("flux_maximum", "flux_variation", "kruzkov"))},
 )

@@ -7,6 +7,7 @@ holds, and its height is what is then between them.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -19,10 +20,10 @@ from hjprofile.solvers.kernels.steps import StepLaw
 from hjprofile.solvers.run import Array, Event, State, VerticalStep
 
 NEAR = 4.0  # cells from a vertical slope: what is as steep as there may be a step
-LEAST = 2.0  # least height, as a part of that by which R falls within a cell of a vertical slope
+LEAST = 1.5  # least height, as a part of that by which R falls within a cell of a vertical slope
 KINDS = ("blow-up", "merge", "exit")
 LEAST_LIFE = 3  # sightings that make a step
-WIDEST = 200  # cells on either side that a layer may have
+WIDEST = 200  # cells on its left that a layer may have
 
 
 class Layer(NamedTuple):
@@ -48,8 +49,9 @@ def find_steps(q: Array, x_left: float, dx: float, f: Array, law: StepLaw) -> li
     inner = q[1:-1]
     peaks = 1 + np.flatnonzero((inner > steep) & (inner >= q[:-2]) & (inner > q[2:]))
     found: list[Layer] = []
-    for p in peaks.tolist():
-        a, b = _layer(q, p, dx)
+    ends = np.append(peaks, q.size - 1).tolist()
+    for p, beyond in pairwise(ends):
+        a, b = _layer(q, p, beyond, dx)
         x_a, x_b = x_left + a * dx, x_left + b * dx
         v = np.empty(2)
         kernels.start_pieces(q[[a, b]] * dx, np.full(2, dx), law, v)
@@ -61,15 +63,19 @@ def find_steps(q: Array, x_left: float, dx: float, f: Array, law: StepLaw) -> li
     return found
 
 
-def _layer(q: Array, p: int, dx: float) -> tuple[int, int]:
-    """The cells beside the layer about cell p: q falls to the left until it rises again or hardly falls any more."""
-    first, last = max(p - WIDEST, 0), min(p + WIDEST, q.size - 1)
+def _layer(q: Array, p: int, beyond: int, dx: float) -> tuple[int, int]:
+    """The cells beside the layer about cell p: q falls to the left until it rises again or hardly falls any more.
+
+    The right one is twice as far, clear of what a scheme of second order leaves beside a layer; if the next peak, at
+    the cell `beyond`, is nearer than that, it is the lowest in between.
+    """
+    first = max(p - WIDEST, 0)
     rises = np.diff(q[first : p + 1])
-    ends = np.flatnonzero(rises <= dx * np.max(rises, initial=0.0))
+    flat = rises <= dx * np.max(rises, initial=0.0)
+    ends = np.flatnonzero(flat & (q[first:p] < 0.5 * q[p]))  # the peak itself may be flat
     a = first + (int(ends[-1]) if ends.size else 0)
-    b = min(2 * p - a + 2, last)
-    turns = np.flatnonzero(np.diff(q[p : b + 1]) > 0.0)
-    return a, p + int(turns[0]) if turns.size else b
+    b = 3 * p - 2 * a + 2
+    return a, b if b < beyond else p + int(np.argmin(q[p : beyond + 1]))
 
 
 def _fit(W: Array, x_a: float, x_b: float, v: Array, law: StepLaw) -> tuple[float, float, float] | None:

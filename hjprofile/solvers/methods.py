@@ -16,6 +16,7 @@ from hjprofile.monitors.bounds import (
     LOCAL,
     MONOTONE,
     STEEP,
+    STEEP_SECOND_ORDER,
     TELESCOPING,
     WITH_LAYER,
     BoundsMonitor,
@@ -163,7 +164,9 @@ def _solve(
     if not cfl > 0:
         raise InputError(f"cfl = {cfl} must be a positive number")
     scheme: Scheme = (hj if method in HJ_METHODS else conservation).scheme(problem, grid, method, refresh)
-    promises = WITH_LAYER if problem.thickness else STEEP if problem.law.grows_linearly else PROMISES[method]
+    promises = WITH_LAYER if problem.thickness else PROMISES[method]
+    if problem.law.grows_linearly:
+        promises = STEEP_SECOND_ORDER if method == "conservative" else STEEP
     bounds = BoundsMonitor(
         problem.law, grid, scheme.W, problem.profile.inflow, problem.end, promises,
         hj.FLUXES.get(method.removeprefix("conservative-")), strict, problem.coefficient, scheme.factor.refresh,

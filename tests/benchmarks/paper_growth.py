@@ -30,7 +30,8 @@ def picture(exact):
     times = [0.0, 0.2, exact.blow_up, 0.45, 0.7, 1.0]
     fine = hj.track_fronts(pair(1.0, times), hj.Grid(LEFT, 8000))
     path = hj.track_fronts(pair(1.25, 126), hj.Grid(LEFT, 400)).vertical_steps
-    grid = hj.solve_hj(pair(1.25, 26), hj.Grid(LEFT, 4000), "telescoping").vertical_steps
+    first = hj.solve_hj(pair(1.25, 26), hj.Grid(LEFT, 2000), "telescoping").vertical_steps
+    second = hj.solve_conservative(pair(1.25, 26), hj.Grid(LEFT, 2000)).vertical_steps
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     FigureCanvasAgg(figure)
     left, middle, right = figure.subplots(1, 3, width_ratios=[1.7, 1, 1])
@@ -50,12 +51,22 @@ def picture(exact):
     for axes, k, name in ((middle, 0, "place of the step"), (right, 1, "its height")):
         axes.plot([s.time for s in path], [s[2 + k] for s in path], color=ORANGE, lw=2.2, label="fronts")
         axes.plot(t, known[:, k], color="k", lw=1.2, ls=(0, (2, 3)), label="x as a function of u")
-        axes.plot(
-            [s.time for s in grid], [s[2 + k] for s in grid], "o", ms=3.5, mfc="white", color=GREEN, label="4000 cells"
-        )
+        for marker, colour, label, steps in (
+            ("s", GREEN, "telescoping, 2000 cells", first),
+            ("o", BLUE, "conservative, 2000 cells", second),
+        ):
+            axes.plot(
+                [s.time for s in steps],
+                [s[2 + k] for s in steps],
+                marker,
+                ms=3.5,
+                mfc="white",
+                color=colour,
+                label=label,
+            )
         axes.set_xlabel("t")
         axes.set_title(name, fontsize=9, loc="left")
-    middle.legend(fontsize=8, frameon=False)
+    middle.legend(fontsize=7, frameon=False)
     figure.savefig(FIGURE, dpi=130)
 
 
@@ -85,18 +96,24 @@ def numbers(exact):
     print("two kinks: blow-up, merge, exit", times, [e.time - t for e, t in zip(run.events, times, strict=True)])
     apart = np.array([np.subtract(s[2:4], exact.step(s.time)) for s in run.vertical_steps])
     print("largest errors of place and height by fronts", np.abs(apart).max(axis=0))
-    for t in (0.9,):
-        cells, places, heights = [int(600 * 8 ** (i / 13)) for i in range(14)], [], []
+    t, cells = 0.9, [int(600 * 8 ** (i / 11)) for i in range(12)]
+    for method in ("conservative-telescoping", "conservative"):
+        places, heights = [], []
         for n in cells:
-            (step,) = hj.solve_hj(pair(t), hj.Grid(LEFT, n), "telescoping").steps_at(-1)
+            (step,) = hj.solve_conservative(pair(t), hj.Grid(LEFT, n), method).steps_at(-1)
             places.append(abs(step.x - exact.step(t)[0]))
             heights.append(abs(step.height - exact.step(t)[1]))
         log = np.log(4.0 / np.array(cells) * np.log(np.array(cells) / 4.0))
         print(
-            f"t = {t}, {cells[0]} to {cells[-1]} cells: orders in dx of place {hj.observed_order(cells, places):.2f}, "
+            f"{method}, t = {t}, {cells[0]} to {cells[-1]} cells: orders in dx of place "
+            f"{hj.observed_order(cells, places):.2f}, "
             f"height {hj.observed_order(cells, heights):.2f}; of the place in dx ln(1/dx) "
             f"{np.polyfit(log, np.log(places), 1)[0]:.2f}; finest errors {places[-1]:.2g} {heights[-1]:.2g}"
         )
+    problem = hj.Problem(LAW, hj.bumps([2.0], [-2.5], [0.4]), end=0.8, snapshots=2)
+    step = hj.track_fronts(problem, hj.Grid(-5.0, 400), 3200).vertical_steps[-1]
+    runs = [hj.solve_conservative(problem, hj.Grid(-5.0, n)).steps_at(-1)[-1] for n in (500, 1000, 2000, 4000)]
+    print("bump, conservative: errors of", [(round(s.x - step.x, 4), round(s.height - step.height, 4)) for s in runs])
     breaks = bump_blow_up(4.0, 0.25)[0]
     bump, end = hj.bumps([4.0], [-2.0], [0.25]), breaks + 0.15
     for n in (200, 400, 800, 1600):
