@@ -70,7 +70,7 @@ def test_the_mass_is_kept_until_something_leaves_and_then_goes_to_nothing():
     assert mass[-1] == 0.0
 
 
-values = st.lists(st.floats(-0.8, 3.0), min_size=1, max_size=6)
+values = st.lists(st.floats(-0.4, 1.0), min_size=1, max_size=6)  # so that K is e^-1 at least, and `end` not far
 
 
 @settings(max_examples=25, deadline=None)
@@ -81,9 +81,9 @@ def test_every_slope_ends_critical_with_the_volume_that_lay_above_it(data, metho
     By `end` even the slowest has left: its speed is at least K f' with the least K and the least f' there can be.
     """
     q = np.array(data)
-    edges = np.linspace(-4.0, -1.0, q.size + 1)
+    edges = np.linspace(-4.0, -2.5, q.size + 1)
     law = rational()
-    width = 3.0 / q.size
+    width = 1.5 / q.size
     least_K = float(np.exp(width * np.minimum(law.f(q), 0.0).sum()))
     most = float(np.max(1.0 + np.maximum(q, 0.0)) + width * np.abs(q).sum())
     end = 4.5 * most**2 / least_K
