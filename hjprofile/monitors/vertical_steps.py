@@ -17,13 +17,13 @@ from hjprofile.problem.grid import Grid
 from hjprofile.solvers.kernels import steps as kernels
 from hjprofile.solvers.kernels.grid import exponent
 from hjprofile.solvers.kernels.steps import StepLaw
+from hjprofile.solvers.kernels.telescoping import WIDEST
 from hjprofile.solvers.run import Array, Event, State, VerticalStep
 
 NEAR = 4.0  # cells from a vertical slope: what is as steep as there may be a step
 LEAST = 1.5  # least height, as a part of that by which R falls within a cell of a vertical slope
 KINDS = ("blow-up", "merge", "exit")
 LEAST_LIFE = 3  # sightings that make a step
-WIDEST = 200  # cells on its left that a layer may have
 
 
 class Layer(NamedTuple):

@@ -15,12 +15,8 @@ from hjprofile.problem.line import moved, tail
 from hjprofile.problem.profiles import TAIL, Profile
 
 LAYER_METHOD = "conservative-telescoping"  # for its flux the bed loses exactly what the layer gains
-CARRY_STEPS = (
-    "telescoping",
-    "conservative-telescoping",
-    "conservative",
-    "fronts",
-)  # move a vertical step at its right speed
+# These move a vertical step at its right speed
+CARRY_STEPS = "telescoping", "conservative-telescoping", "conservative", "fronts"
 LINES = "half", "whole"
 OFF_GRID = "fronts", "characteristics", "auto"
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.solvers.kernels import compiled
-from hjprofile.solvers.kernels.fronts import top_front
+from hjprofile.solvers.kernels.fronts import note, top_front
 from hjprofile.solvers.kernels.law import polynomial
 
 CROWDED = 0.25  # part of a time step that is taken where a slope is about to become vertical
@@ -231,15 +231,6 @@ def meeting(xa, va, xb, vb, jump, law):
     x = min(max(x, middle - most), middle + most) if x == x else middle
     v1, v2 = v_of(moved(ya, x - xa, law), law), v_of(moved(yb, x - xb, law), law)
     return x, r_of(v1, law) + jump <= r_of(v2, law) + 1e-9 * max(1.0, abs(jump))
-
-
-@compiled
-def note(log, logged, t, kink, into, x):
-    """Adds a row to the log if there is room."""
-    if logged < log.shape[0]:
-        log[logged, 0], log[logged, 1], log[logged, 2], log[logged, 3] = t, kink, into, x
-        return logged + 1
-    return logged
 
 
 @compiled
