@@ -16,10 +16,11 @@ STRONG = 0.25  # jump above which every method here sees a kink on a few hundred
 class Comparison(NamedTuple):
     """How far two runs are apart; each norm is a mean over the saved times, `_max` the largest of them.
 
-    slope_l1, slope_max: ∫|(D u₁ - 1) - q₂| dx, where D u is the difference quotient on the cells, and its supremum.
-    height_l1, height_sup: ∫|u₁ - u₂| dx and sup|u₁ - u₂|.
-    kinks: |x₁ - x₂| over kinks stronger than STRONG, at times after the start when both runs see as many; NaN if
-        there are none.
+    Attributes:
+        slope_l1, slope_max: ∫|(D u₁ - 1) - q₂| dx, where D u is the difference quotient on the cells, and its supremum.
+        height_l1, height_sup: ∫|u₁ - u₂| dx and sup|u₁ - u₂|.
+        kinks: |x₁ - x₂| over kinks stronger than STRONG, at times after the start when both runs see as many; NaN if
+            there are none.
     """
 
     slope_l1: float

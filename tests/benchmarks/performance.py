@@ -251,6 +251,7 @@ PAGE = """# Speed and accuracy, measured
 
 Everything on this page is measured and written by one command, charts included:
 
+<!-- not run: ten minutes -->
 ```sh
 pip install -e '.[bench]' && python tests/benchmarks/performance.py
 ```
