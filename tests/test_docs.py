@@ -129,6 +129,25 @@ def test_pages_print_what_they_show(page, tmp_path, monkeypatch):
     work_through(page)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "```python\nprint(1.25)\n```\n\n```text\n1.26\n```\n",
+        "```python\nx = 1\n```\n\n```text\n1\n```\n",
+        "```python\nfor i in range(3):\n    print(i)\n```\n\n```text\n1\n...\n```\n",
+        "```sh\nhjprofile run nowhere.toml\n```\n",
+        "```sh\nrm -r results\n```\n",
+        "<!-- file: law.py -->\n\nThe law is this:\n\n```python\n1/0\n```\n",
+    ],
+    ids=["another number", "nothing printed", "another start", "a failure", "an unknown command", "a lost mark"],
+)
+def test_a_page_that_shows_what_does_not_come_out_is_found(text, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "page.md").write_text(text, encoding="utf-8")
+    with pytest.raises((AssertionError, pytest.fail.Exception)):
+        work_through(tmp_path / "page.md")
+
+
 def test_links_lead_somewhere():
     for page in PAGES:
         for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text(encoding="utf-8")):
