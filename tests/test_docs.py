@@ -13,6 +13,7 @@ In a block of text a line `...` stands for any lines, seconds for any seconds, a
 import contextlib
 import importlib.util
 import io
+import os
 import re
 import shlex
 import subprocess
@@ -67,7 +68,10 @@ def commands(text):
                 shown, code = printed_by(lambda a=arguments: main(a))
             elif program in ("python", "pytest"):
                 start = [sys.executable, *(["-m", "pytest", "-p", "no:cacheprovider"] if program == "pytest" else [])]
-                done = subprocess.run([*start, *arguments], input=shown, capture_output=True, text=True, timeout=120)
+                narrow = os.environ | {"COLUMNS": "80"}
+                done = subprocess.run(
+                    [*start, *arguments], input=shown, capture_output=True, text=True, timeout=120, env=narrow
+                )
                 shown, code = done.stdout + done.stderr, done.returncode
             elif program != "#":
                 pytest.fail(f"{line!r} is not known here; mark its block <!-- not run: WHY -->")
