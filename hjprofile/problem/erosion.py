@@ -277,6 +277,9 @@ def _slope_at_infinity(law: ErosionLaw) -> float:
     return float(mean[0]) if settled else 0.0
 
 
+CONCAVE = "f must be concave: each further bit of steepness adds less"
+
+
 def check_assumptions(law: ErosionLaw, growth: str | None = None) -> None:
     """Raises InputError naming the assumption that the law breaks, of [eq:f] or of growth "linear", and a q where."""
     v = np.linspace(np.log(1e-8), np.log(1e8), 4001)  # ln(1+q)
@@ -288,11 +291,12 @@ def check_assumptions(law: ErosionLaw, growth: str | None = None) -> None:
     except Exception as error:
         raise InputError(f"the law cannot be evaluated: {type(error).__name__}: {error}") from error
 
-    def refuse(assumption: str, where: float) -> None:
-        raise InputError(f"the law is not an erosion function: {assumption} fails at q = {where:.10g}")
+    def refuse(assumption: str, where: float, because: str) -> None:
+        raise InputError(f"the law is not an erosion function: {assumption} fails at q = {where:.10g}; {because}")
 
     if not np.isfinite(f0) or abs(f0) > 1e-12:
-        raise InputError(f"the law is not an erosion function: f(0) = 0 fails at q = 0, where f = {f0:.6g}")
+        because = "at the critical slope nothing erodes or settles" if np.isfinite(f0) else "f must be a number there"
+        raise InputError(f"the law is not an erosion function: f(0) = 0 fails at q = 0, where f = {f0:.6g}; {because}")
     limit = 0.0
     if growth == LINEAR:
         limit = _slope_at_infinity(law)
@@ -305,23 +309,30 @@ def check_assumptions(law: ErosionLaw, growth: str | None = None) -> None:
     # A derivative found by differences carries rounding of about 1e-14 f/(1+q); far below it nothing can be said.
     resolved = np.abs(df) > 1e-9 * np.abs(f) / (1 + q)
     flat = (df <= 0) & (resolved | (q < 20))
+    if limit and flat.any():
+        refuse("f'' < 0", q[np.argmax(flat)], CONCAVE)
+    middle = v.size // 2  # q = 0
+    if 0 < df[middle] * (1 + 1e-6) < df[middle + 1]:
+        refuse("f'' < 0", 0.0, CONCAVE)
     if flat.any():
-        refuse("f'' < 0" if limit else "f' > 0", q[np.argmax(flat)])
+        turned = df[middle] < 0 and "its sign is wrong, f must be positive where q > 0"
+        refuse("f' > 0", q[np.argmax(flat)], turned or "f must increase: a steeper slope erodes more")
     rising = (df[1:] >= df[:-1] * (1 - 1e-10)) & resolved[1:] & resolved[:-1]
 
     def refuse_convexity(within: Array) -> None:
         at = np.flatnonzero(rising & within)
         if at.size:
-            refuse("f'' < 0", q[at[np.argmin(np.abs(v[at]))]])
+            refuse("f'' < 0", q[at[np.argmin(np.abs(v[at]))]], CONCAVE)
 
     # (1+q) f' is the slope of f in ln(1+q): where it dies out towards q = -1, f has a finite limit there.
     slope = (1 + q) * df
     if slope[0] < 0.5 * np.interp(np.log(1e-4), v, slope):
-        refuse("f -> -infinity as q -> -1", q[0])
+        refuse("f -> -infinity as q -> -1", q[0], "no slope may become flat, so f falls without bound, as q/(1+q) does")
     refuse_convexity(q[1:] < 100)
     broken = ~(np.isfinite(f) & np.isfinite(df))
     if broken.any():
-        refuse("that f is finite with a derivative for every q > -1", q[np.argmax(broken)])
+        where = q[np.argmax(broken)]
+        refuse("that f is finite with a derivative for every q > -1", where, "any slope may occur on the way")
     if not limit and df[-1] > 0.5 * np.interp(np.log(1e4), v, df):
         raise InputError(
             "the law is not an erosion function: f(q)/q -> 0 as q -> infinity (sublinear growth) fails at "

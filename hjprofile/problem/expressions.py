@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hjprofile.errors import InputError
+from hjprofile.errors import InputError, did_you_mean
 
 _FUNCTIONS = {name: getattr(np, name) for name in ("exp", "log", "log1p", "expm1", "sqrt")}
 _NODES = (
@@ -59,13 +59,17 @@ def arithmetic(text: str, *variables: str) -> Arithmetic:
                 fine = isinstance(node.func, ast.Name) and len(node.args) == 1 and not node.keywords
             if not fine:
                 part = ast.unparse(node) or type(node).__name__
-                raise InputError(f"expression = {text!r} contains {part!r}; {allowed}")
+                hint = did_you_mean(part, variables)
+                if isinstance(node, ast.BitXor):
+                    part, hint = "^", " (a power is written **);"
+                raise InputError(f"expression = {text!r} contains {part!r}{hint or ';'} {allowed}")
         tree = ast.fix_missing_locations(_FloatConstants().visit(tree))
         code = compile(tree, "<expression>", "eval")
     except (SyntaxError, RecursionError, MemoryError, OverflowError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"expression = {text!r} is not an arithmetic expression; {allowed}") from None
+        hint = "is not an arithmetic expression (products are written with *)"
+        raise InputError(f"expression = {text!r} {hint}; {allowed}") from None
 
     def value(*arguments: Any) -> Any:
         arrays = [np.asarray(a, dtype=float) for a in arguments]
