@@ -475,7 +475,7 @@ BAD_ARGUMENTS = [
     (lambda: profile(lambda x: 1 / 0).check(GRID, log()), "the profile cannot be evaluated: ZeroDivisionError"),
     (lambda: profile(lambda x: x * math.nan).check(GRID, log()), "the profile is not finite near x = -8.95"),
     (lambda: profile(lambda x: -x).check(GRID, log()), "the profile does not rise near x = -8.85, where q = -2;"),
-    (lambda: profile(lambda x: 0.5 * x).check(GRID, log()), "q = -0.5 at the left end x = -9; the slope must be critical"),
+    (lambda: profile(lambda x: 0.5 * x).check(GRID, log()), "q = -0.5 at the left end x = -9;"),
     (
         lambda: profile(lambda x: x if x < -4 else -8 - x).check(GRID, log()),
         "does not rise near x = -",

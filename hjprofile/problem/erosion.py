@@ -25,6 +25,7 @@ Function = Callable[[Any], Any]
 NEAR_ZERO = (
     0.05  # |q| below which q/f(q) is read from a polynomial: there f may be a difference of numbers of order one
 )
+UNREADABLE, PYTHON = "a-file-that-cannot-be-read", "a-python-file"  # headings of the page on errors
 LINEAR = "linear"  # the growth of a law outside [eq:f]
 FAR = 1e100, 1e50, 1e30, 1e15  # slopes at which f' is looked for its limit: the largest where f is finite, and the next
 FARTHEST = 1e5  # slopes beyond which f - q f' of a law of linear growth is taken as constant
@@ -229,9 +230,9 @@ def require_file(path: Path) -> None:
     try:
         there = path.is_file()
     except OSError as error:  # a name too long, a folder that may not be entered
-        raise InputError(f"file = {str(path)!r} cannot be read: {error.strerror}") from None
+        raise InputError(f"file = {str(path)!r} cannot be read: {error.strerror}", UNREADABLE) from None
     if not there:
-        raise InputError(f"file = {str(path)!r} does not exist, or is not a file")
+        raise InputError(f"file = {str(path)!r} does not exist, or is not a file", UNREADABLE)
 
 
 def load_function(path: Path, function: str) -> Function:
@@ -239,15 +240,15 @@ def load_function(path: Path, function: str) -> Function:
     require_file(path)
     spec = importlib.util.spec_from_file_location(f"hjprofile_user_{path.stem}", path)
     if spec is None or spec.loader is None:
-        raise InputError(f"file = {str(path)!r} is not a Python file (.py)")
+        raise InputError(f"file = {str(path)!r} is not a Python file (.py)", PYTHON)
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
-        raise InputError(f"file = {str(path)!r} could not be run: {type(error).__name__}: {error}") from error
+        raise InputError(f"file = {str(path)!r} could not be run: {type(error).__name__}: {error}", PYTHON) from error
     f = getattr(module, function, None)
     if not callable(f):
-        raise InputError(f"function = {function!r} is not defined in {path.name}")
+        raise InputError(f"function = {function!r} is not defined in {path.name}", PYTHON)
     return f
 
 
