@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomli_w
 
 from hjprofile.errors import InputError, did_you_mean
 from hjprofile.problem import Problem, coefficient, erosion, profiles
@@ -393,3 +394,8 @@ def find_case(case: str | Path) -> Path:
         f"{case}: no such file{folder}, nor a case that comes with the package{hint} (they are: {', '.join(shipped)})",
         "a-case-that-is-not-there",
     )
+
+
+def to_toml(content: Mapping[str, Any]) -> str:
+    """TOML text of a resolved case."""
+    return tomli_w.dumps(dict(content))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Protocol
@@ -311,6 +311,9 @@ def march(
             status = _small_step_sentence(scheme, problem, grid, pace.t, dt, pace.speed)
     if status != "done" and (not recorder.rows or recorder.columns[0][recorder.rows - 1] < pace.t):
         recorder.save(pace.t, scheme)
+        dt = 0.0  # no step led from this state to another
+        with suppress(Halt, Breakdown):  # what monitors tell of the end is told of the last good state too
+            watch(present(pace.t, pace.steps, pace.speed), every=True)
     times, W, q, K = (column[: recorder.rows] for column in recorder.columns)
     return Recording(times, W, q, K, status, pace.steps, (float(pace.shortest), float(pace.longest)), pace.seconds)
 
