@@ -254,9 +254,10 @@ def read_case(path: Path) -> dict[str, Any]:
         message = f"{path}: cannot be read: it is not text in UTF-8 ({error}); save it as UTF-8"
         raise InputError(message, "a-file-that-cannot-be-read") from None
     except (ValueError, RecursionError) as error:  # beside bad syntax: integers of thousands of digits, deep nesting
-        found = re.search(r"at line (\d+)", str(error))
-        line = f", which reads {text.splitlines()[int(found[1]) - 1].strip()[:60]!r}" if found else ""
-        raise InputError(f"{path}: not valid TOML: {error}{line}", "a-file-that-is-no-toml") from None
+        found = re.search(r"\(at line (\d+), column \d+\)$", str(error))
+        line = text.split("\n")[int(found[1]) - 1].strip()[:60] if found else ""
+        shown = f", which reads {line!r}" if line else ""
+        raise InputError(f"{path}: not valid TOML: {error}{shown}", "a-file-that-is-no-toml") from None
 
 
 def read_choices(arguments: Sequence[str]) -> dict[str, list[Any]]:
