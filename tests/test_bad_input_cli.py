@@ -174,7 +174,7 @@ def test_bad_python_files(folder, capsys, name):
         (["fit", "scene.toml", "user.py", "--vary", "time.end"], ["must begin with the header 'x,height'"]),
         (["fit", "scene.toml", "survey.csv", "--vary", "time.ende"], ["time.ende cannot be varied"]),
         (["plot", "nowhere"], ["nowhere", "profile.nc is missing; `hjprofile run` writes them whole"]),
-        (["plot", "scene.toml"], ["scene.toml is not a readable result folder"]),
+        (["plot", "scene.toml"], ["scene.toml is not a readable result folder: it is a file; name the folder that"]),
         (["export", "nowhere"], ["export needs a format: --vtk"]),
         (["export", "nowhere", "--vtk"], ["nowhere", "profile.nc is missing"]),
         (["export", "."], ["--vtk"]),
@@ -239,6 +239,22 @@ def test_a_run_that_breaks_down_on_its_way(folder, capsys):
     (folder / "scene.toml").write_text(tomli_w.dumps(content))
     result = call(capsys, "run", "scene.toml", "--out", "partial")
     assert_partial(Path("partial"), result, "scene.toml", at_start=False)
+
+
+@pytest.mark.parametrize(
+    ("values", "left", "method", "words"),
+    [
+        (5.0, -1000.0, "godunov", "the run cannot start: K f' is not a finite number near x = "),
+        (-0.999999, -1000.0, "fronts", "front tracking cannot start: ln K changes by "),
+    ],
+)
+def test_a_run_that_cannot_start(folder, capsys, values, left, method, words):
+    profile = {"kind": "steps", "edges": [0.9 * left, -2.0], "values": [values]}
+    content = changed({"profile": profile, "domain.left": left, "solver.method": method})
+    (folder / "scene.toml").write_text(tomli_w.dumps(content))
+    code, out, err = call(capsys, "run", "scene.toml")
+    assert (code, out) == (1, "") and words in err
+    assert err.endswith("\n  more: docs/errors.md#a-run-that-stops\n") and err.count("\n") == 2
 
 
 def process(*arguments, stdout=subprocess.PIPE):
