@@ -25,7 +25,8 @@ Function = Callable[[Any], Any]
 NEAR_ZERO = (
     0.05  # |q| below which q/f(q) is read from a polynomial: there f may be a difference of numbers of order one
 )
-UNREADABLE, PYTHON = "a-file-that-cannot-be-read", "a-python-file"  # headings of the page on errors
+# headings of the page on errors
+UNREADABLE, PYTHON, NO_LAW = "a-file-that-cannot-be-read", "a-python-file", "what-a-law-must-be"
 LINEAR = "linear"  # the growth of a law outside [eq:f]
 FAR = 1e100, 1e50, 1e30, 1e15  # slopes at which f' is looked for its limit: the largest where f is finite, and the next
 FARTHEST = 1e5  # slopes beyond which f - q f' of a law of linear growth is taken as constant
@@ -293,11 +294,15 @@ def check_assumptions(law: ErosionLaw, growth: str | None = None) -> None:
         raise InputError(f"the law cannot be evaluated: {type(error).__name__}: {error}") from error
 
     def refuse(assumption: str, where: float, because: str) -> None:
-        raise InputError(f"the law is not an erosion function: {assumption} fails at q = {where:.10g}; {because}")
+        raise InputError(
+            f"the law is not an erosion function: {assumption} fails at q = {where:.10g}; {because}", NO_LAW
+        )
 
     if not np.isfinite(f0) or abs(f0) > 1e-12:
         because = "at the critical slope nothing erodes or settles" if np.isfinite(f0) else "f must be a number there"
-        raise InputError(f"the law is not an erosion function: f(0) = 0 fails at q = 0, where f = {f0:.6g}; {because}")
+        raise InputError(
+            f"the law is not an erosion function: f(0) = 0 fails at q = 0, where f = {f0:.6g}; {because}", NO_LAW
+        )
     limit = 0.0
     if growth == LINEAR:
         limit = _slope_at_infinity(law)
@@ -337,6 +342,7 @@ def check_assumptions(law: ErosionLaw, growth: str | None = None) -> None:
     if not limit and df[-1] > 0.5 * np.interp(np.log(1e4), v, df):
         raise InputError(
             "the law is not an erosion function: f(q)/q -> 0 as q -> infinity (sublinear growth) fails at "
-            f"q = {q[-1]:.10g}; a law whose slope f' tends to a positive limit is admitted with growth = 'linear'"
+            f"q = {q[-1]:.10g}; a law whose slope f' tends to a positive limit is admitted with growth = 'linear'",
+            NO_LAW,
         )
     refuse_convexity(q[1:] >= 100)
