@@ -326,6 +326,11 @@ BAD |= {
         "profile",
         ["absent.csv"],
     ),
+    "a survey near another": (
+        {"profile": {"kind": "survey"} | PROFILES["survey"] | {"file": "survy.csv"}},
+        "profile",
+        ["survy.csv' does not exist, or is not a file; did you mean 'survey.csv'?"],
+    ),
     "survey is a folder": (
         {"profile": {"kind": "survey"} | PROFILES["survey"] | {"file": "."}},
         "profile",

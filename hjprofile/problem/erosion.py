@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import Chebyshev
 
-from hjprofile.errors import InputError
+from hjprofile.errors import InputError, did_you_mean
 from hjprofile.problem.expressions import arithmetic
 
 Array = np.ndarray
@@ -233,7 +234,11 @@ def require_file(path: Path) -> None:
     except OSError as error:  # a name too long, a folder that may not be entered
         raise InputError(f"file = {str(path)!r} cannot be read: {error.strerror}", UNREADABLE) from None
     if not there:
-        raise InputError(f"file = {str(path)!r} does not exist, or is not a file", UNREADABLE)
+        beside: list[str] = []
+        with suppress(OSError, ValueError, NotImplementedError):  # no such folder, one that may not be entered, a NUL
+            beside = [other.name for other in path.parent.glob(f"*{path.suffix}") if other.is_file()]
+        hint = did_you_mean(path.name, beside)
+        raise InputError(f"file = {str(path)!r} does not exist, or is not a file{hint}", UNREADABLE)
 
 
 def load_function(path: Path, function: str) -> Function:
