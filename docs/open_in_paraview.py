@@ -59,7 +59,7 @@ def lay_out(folder):
     pv.GetAnimationScene().UpdateAnimationUsingDataTimeSteps()  # play shows each saved time, and no other
     for t in profile.TimestepValues:
         kinks.UpdatePipeline(t)
-        if "jump" in kinks.PointData.keys():  # ParaView knows no arrays of a time without kinks
+        if kinks.PointData.GetArray("jump") is not None:  # ParaView knows no arrays of a time without kinks
             show(kinks, above, "POINTS", "jump", t).ApplyPreset("Viridis (matplotlib)", True)
             break
     show(sheet, below, "POINTS", "q")
@@ -85,5 +85,7 @@ if len(sys.argv) == 3:
         pv.SaveScreenshot(picture, layout)
     else:
         pv.SaveAnimation(picture, layout)
-else:
+elif hasattr(pv.GetActiveSource(), "FileName"):
     lay_out(Path(str(pv.GetActiveSource().FileName)).parent)
+else:
+    print("Open vtk/profile.pvd and select it first; or give pvpython a result folder and the name of a picture")

@@ -65,9 +65,8 @@ def _kinks(run: Run, i: int) -> pyvista.PolyData:
     kinks = run.kinks_at(i)
     at = np.array([k.x for k in kinks], dtype=float)
     x, u, _ = _places(run, at, np.interp(at, run.x, run.u[i]))
-    mesh = pyvista.PolyData(
-        np.column_stack([x, u, np.zeros(at.size)])
-    )  # without kinks 0 points, which ParaView wants said
+    # without kinks 0 points, not an empty mesh: ParaView complains of a file that does not say so
+    mesh = pyvista.PolyData(np.column_stack([x, u, np.zeros(at.size)]))
     length = run.units.length if run.units else 1.0
     mesh.point_data["kink"] = np.array([k.kink for k in kinks], dtype=np.int64)
     mesh.point_data["jump"] = np.array([k.jump for k in kinks], dtype=float)
