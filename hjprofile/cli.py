@@ -144,7 +144,7 @@ def chart(*case: str, out: Out = None) -> None:
     """
     from hjprofile.evidence.chart import Point, pareto
     from hjprofile.evidence.chart import chart as chart_case
-    from hjprofile.output.plots import chart_picture
+    from hjprofile.output.plots.studies import chart_picture
     from hjprofile.output.store import open_folder, to_csv, write_whole
 
     if not case:
@@ -173,7 +173,7 @@ def stability(case: str, /, *, out: Out = None) -> None:
     """
     from hjprofile.evidence.stability import Trial, measured_limit
     from hjprofile.evidence.stability import stability as scan
-    from hjprofile.output.plots import stability_picture
+    from hjprofile.output.plots.studies import stability_picture
     from hjprofile.output.store import open_folder, to_csv, write_whole
 
     folder, (loaded,) = _cases((case,), out)
@@ -198,7 +198,7 @@ def dependence(case: str, /, *, out: Out = None) -> None:
     """
     from hjprofile.evidence.dependence import Distance, summary
     from hjprofile.evidence.dependence import dependence as study
-    from hjprofile.output.plots import dependence_picture
+    from hjprofile.output.plots.studies import dependence_picture
     from hjprofile.output.store import open_folder, to_csv, write_whole
 
     folder, (loaded,) = _cases((case,), out)
@@ -262,7 +262,7 @@ def fit(case: str, after: Path, /, *, vary: Fitted, sigma: Sigma = None, out: Ou
 @app.command
 def plot(result: Path, /, *, out: Into = None) -> None:
     """Draw the pictures of a result folder again, into it or into another folder."""
-    from hjprofile.output.plots import pictures
+    from hjprofile.output.plots.runs import pictures
     from hjprofile.output.store import load_run, write_whole
 
     folder = out or result

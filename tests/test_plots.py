@@ -9,7 +9,7 @@ import pytest
 from matplotlib import image
 
 import hjprofile as hj
-from hjprofile.output.plots import draw_diagram, draw_profiles, pictures
+from hjprofile.output.plots.runs import draw_diagram, draw_profiles, pictures
 
 SIZES = {"profile.png": (1260, 1200), "diagram.png": (780, 1200)}  # rows, columns
 

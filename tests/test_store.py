@@ -64,7 +64,7 @@ def run(request, home):
 @pytest.fixture(autouse=True)
 def pictures(monkeypatch):
     """Stand-ins: the true ones take most of the time here, and have tests of their own."""
-    monkeypatch.setattr("hjprofile.output.plots.pictures", lambda run: {"profile.png": b"P", "diagram.png": b"D"})
+    monkeypatch.setattr("hjprofile.output.plots.runs.pictures", lambda run: {"profile.png": b"P", "diagram.png": b"D"})
 
 
 def names(folder):

@@ -115,7 +115,7 @@ def write_run(
 
 
 def _pictures(run: Run) -> dict[str, bytes | str]:
-    from hjprofile.output.plots import pictures
+    from hjprofile.output.plots.runs import pictures
 
     return pictures(run)
 
