@@ -1,163 +1,222 @@
-"""Pictures of a run."""
+"""Pictures of a run: its profiles, q over the (x, t) plane, its factor."""
 
 from __future__ import annotations
 
-import textwrap
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize, TwoSlopeNorm
+from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
-from hjprofile.output.plots.style import DEPOSITED, ERODED, png
+from hjprofile.evidence.tracing import kink_paths, slope_between, trace_back, traceable_law
+from hjprofile.output.plots import style
+from hjprofile.output.plots.style import DEPOSITED, ERODED, EXCESS, INK, amount, axes_units, change_of, span, styled
 from hjprofile.solvers.run import Array, Run
 
-LINES = 9  # profiles that are drawn; more hide each other
+RASTER = 420, 640  # times and places at which the (x, t) plane is coloured
+TRACED = 14, 8  # characteristics that end at the last time, and at the top
+LEAST_CHANGE = 1e-9  # of the relief: what is less is rounding
 
 
-def pictures(run: Run) -> dict[str, bytes | str]:
-    """Name -> PNG."""
-    return {"profile.png": png(draw_profiles(run)), "diagram.png": png(draw_diagram(run))}
+def pictures(run: Run, forms: Iterable[str] = ("png",)) -> dict[str, bytes | str]:
+    """Name -> file of every picture of a run, in each form: "png" or "svg"."""
+    drawings = {"profile": draw_profiles(run), "diagram": draw_diagram(run), "factor": draw_factor(run)}
+    return {f"{name}.{form}": style.encode(figure, form) for name, figure in drawings.items() for form in forms}
 
 
-def _figure(width: float, height: float, run: Run) -> Figure:
-    """With margins that suit the axes of a run: to find them out would cost as much as the drawing."""
-    figure = Figure(figsize=(width, height))
-    FigureCanvasAgg(figure)
-    lines = 1 if run.done else 1 + len(_reason(run))
-    figure.subplots_adjust(
-        0.7 / width, 0.5 / height, 1.0 - 0.95 / width, 1.0 - (0.15 + 0.2 * lines) / height, 0.08, 0.08
-    )
-    return figure
-
-
-def _bar_axes(figure: Figure) -> Axes:
-    """A place for a colour bar, as high as the axes."""
-    edges = figure.subplotpars
-    width = 0.16 / figure.get_figwidth()
-    return figure.add_axes(
-        (edges.right + 0.5 * width, edges.bottom, width, edges.top - edges.bottom), label="<colorbar>"
-    )
-
-
-def _axes_units(run: Run) -> tuple[Array, Array, str, str]:
-    """x, u in the survey's units if there is one, with labels of the axes."""
-    if run.units:
-        return run.units.x(run.x), run.units.height(run.u), "x (units of the survey)", "height (units of the survey)"
-    top = "" if run.x[-1] else "; the top is at 0"
-    return run.x, run.u, f"x (in exchange lengths{top})", "height u"
-
-
-def _reason(run: Run) -> list[str]:
-    return [] if run.done else textwrap.wrap(run.status, 110)
-
-
-def _titles(axes: Axes, run: Run) -> None:
-    """The title and the method; below them, where a run stopped early, why."""
-    reason = _reason(run)
-    axes.set_title(run.title + "\n" * len(reason), loc="left", fontweight="bold")
-    axes.set_title("\n".join([f"{run.method}, {run.cells} cells", *reason]), loc="right", fontsize=8, color="0.35")
-
-
-def _span(run: Run) -> tuple[float, float]:
-    """First and last time on an axis; a single time gets some room."""
-    first, last = float(run.time[0]), float(run.time[-1])
-    return (first, last) if last > first else (first - 0.5, first + 0.5)
-
-
+@styled
 def draw_profiles(run: Run) -> Figure:
-    """The profile through time with its kinks; below it how far it has moved; below that the excess slope."""
-    x, u, x_label, u_label = _axes_units(run)
-    figure = _figure(8.0, 8.4, run)
+    """The profile through time with what was eroded and deposited, and its kinks; the change of height; q."""
+    x, u, x_label, u_label = axes_units(run, run.units)
+    keys = _keys_of_change(u[-1], u[0], x) + [_KINK] * bool(run.kinks)
+    figure = style.sheet(run.title, style.about(run), bool(keys), 4.9)
     top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
-    shown = np.unique(np.linspace(0, run.time.size - 1, LINES).round().astype(int))
-    norm = Normalize(*_span(run))
-    colours = colormaps["viridis"].resampled(256)
-    centres = 0.5 * (x[1:] + x[:-1])
+    shown, colour = style.shown_times(run)
+    _shade(top, x, u[0], u[-1])
+    _shade(middle, x, 0.0, u[-1] - u[0])
     for i in shown:
-        colour = colours(0.92 * norm(run.time[i]))
-        top.plot(x, u[i], color=colour, lw=1.1)
-        middle.plot(x, u[i] - u[0], color=colour, lw=1.1)
-        bottom.plot(centres, run.q[i], color=colour, lw=1.0)
-        kinks = np.array([k.x for k in run.kinks_at(i)])
-        if kinks.size:
-            at = run.units.x(kinks) if run.units else kinks
-            top.plot(at, np.interp(at, x, u[i]), "o", ms=4, mfc="white", mec=colour, zorder=3)
-            middle.plot(at, np.interp(at, x, u[i] - u[0]), "o", ms=4, mfc="white", mec=colour, zorder=3)
-    change = u[-1] - u[0]
-    middle.fill_between(x, change, 0, where=change < 0, color=ERODED, alpha=0.3, lw=0, label="eroded")
-    middle.fill_between(x, change, 0, where=change > 0, color=DEPOSITED, alpha=0.3, lw=0, label="deposited")
-    if np.any(np.abs(change) > 1e-9 * np.ptp(u)):
-        middle.legend(loc="best", fontsize=8, frameon=False)
-    top.plot([], [], "o", ms=4, mfc="white", mec="k", label="kink")
-    if run.kinks:
-        top.legend(loc="upper left", fontsize=8, frameon=False)
-    _titles(top, run)
+        top.plot(x, u[i], color=colour(i), lw=0.9)
+        middle.plot(x, u[i] - u[0], color=colour(i), lw=0.9)
+        bottom.plot(run.x_cell if not run.units else run.units.x(run.x_cell), run.q[i], color=colour(i), lw=0.9)
+    for axes, heights in ((top, u), (middle, u - u[0])):
+        for at, height, index in _seen(run, x, heights):
+            axes.plot(at, height, color=INK, lw=0.6, zorder=2.5)
+            marked = np.isin(index, shown)
+            axes.plot(at[marked], height[marked], **_DOT, ls="none", zorder=3)
+    style.legend_above(figure, keys)
     top.set_ylabel(u_label)
     middle.set_ylabel("change of height")
-    bottom.set_ylabel("excess slope q = $u_x$ - 1")
-    bottom.axhline(0, color="0.6", lw=0.6, zorder=0)
-    if run.vertical_steps:  # where the profile jumps q has no bound, and what is beside it should be seen
-        bottom.set_yscale("symlog", linthresh=1.0)
-        bottom.set_ylim(bottom=min(float(run.q.min()), 0.0) - 0.1)
+    _axis_of_q(bottom, run)
     bottom.set_xlabel(x_label)
     bottom.set_xlim(x[0], x[-1])
-    bar = figure.colorbar(ScalarMappable(norm, colours.resampled(256)), cax=_bar_axes(figure))
-    bar.set_label("t: mass of grains poured in")
-    if run.time.size == 1:
-        bar.set_ticks([float(run.time[0])])
+    figure.align_ylabels([top, middle, bottom])
+    style.bar_of_times(figure, run)
     return figure
 
 
+_DOT: dict[str, Any] = {"marker": "o", "ms": 2.6, "mfc": "white", "mec": INK, "mew": 0.6}
+_KINK = Line2D([], [], color=INK, lw=0.6, label="kink", **_DOT)
+
+
+def _keys_of_change(u: Array, first: Array, x: Array) -> list[Any]:
+    """Keys of a legend for what was eroded and deposited."""
+    eroded, deposited = change_of(u, first, x)
+    least = LEAST_CHANGE * float(np.ptp(first) * np.ptp(x))
+    parts = ((ERODED, "eroded", eroded), (DEPOSITED, "deposited", deposited))
+    return [Patch(fc=c, alpha=0.4, label=f"{name} (area {amount(a)})") for c, name, a in parts if a > least]
+
+
+def _shade(axes: Axes, x: Array, before: Array | float, after: Array) -> list[Any]:
+    """What lies between two profiles: eroded where it sank, deposited where it rose."""
+    return [
+        axes.fill_between(x, before, after, where=where, interpolate=True, color=colour, alpha=0.4, lw=0, zorder=1)
+        for where, colour in ((after < before, ERODED), (after > before, DEPOSITED))
+    ]
+
+
+def _seen(run: Run, x: Array, heights: Array) -> list[tuple[Array, Array, Array]]:
+    """Places, heights and numbers of the saved times of each kink."""
+    scale = run.units.x if run.units else np.asarray
+    found = []
+    for number in sorted({k.kink for k in run.kinks}):
+        mine = [k for k in run.kinks if k.kink == number]
+        index = np.searchsorted(run.time, [k.time for k in mine])
+        at = scale(np.array([k.x for k in mine]))
+        found.append((at, np.array([np.interp(a, x, heights[i]) for a, i in zip(at, index, strict=True)]), index))
+    return found
+
+
+def _axis_of_q(axes: Axes, run: Run) -> None:
+    axes.set_ylabel("excess slope q")
+    axes.axhline(0.0, color="0.6", lw=0.6, zorder=0)
+    if run.vertical_steps:  # where the profile jumps q has no bound, and what is beside it should be seen
+        axes.set_yscale("symlog", linthresh=1.0)
+        axes.set_ylim(bottom=min(float(run.q.min()), 0.0) - 0.1)
+        style.plain_numbers(axes.yaxis)
+
+
+@styled
 def draw_diagram(run: Run) -> Figure:
-    """The excess slope over the (x, t) plane with the paths of the kinks and their births, merges and exits."""
-    x, _, x_label, _ = _axes_units(run)
-    figure = _figure(8.0, 5.2, run)
+    """q over the (x, t) plane with the paths of the kinks, their births, merges and exits, and characteristics.
+
+    Between saved times q is drawn as by `slope_between`. Characteristics are left out where K and q do not say how
+    they move (`traceable_law`).
+    """
+    x, _, x_label, _ = axes_units(run, run.units)
+    scale = run.units.x if run.units else np.asarray
+    traced = _characteristics(run)
+    keys = _keys_of_diagram(run, traced is not None)
+    rows = -(-len(keys) // 5)
+    figure = style.sheet(run.title, style.about(run), rows, 3.1, right=0.88)
     axes = figure.subplots()
+    first, last = span(run)
+    times, places = (a + (b - a) * (np.arange(n) + 0.5) / n for (a, b), n in zip(
+        ((first, last), (run.x[0], run.x[-1])), RASTER, strict=True
+    ))  # fmt: skip
+    sheet = axes.imshow(
+        slope_between(run, times, places), cmap=EXCESS, norm=_norm_of_q(run), origin="lower", aspect="auto",
+        extent=(x[0], x[-1], first, last), interpolation="nearest",
+    )  # fmt: skip
+    bar = style.bar_of(figure, sheet, "excess slope q")
     low, high = float(run.q.min()), float(run.q.max())
-    if run.vertical_steps:  # where the profile jumps q has no bound
-        high = max(float(np.quantile(run.q, 0.98)), 0.0)
-    span = max(-low, high)
-    if span < 1e-9:  # a critical slope: rounding must not be drawn as if it were relief
-        span = 1.0
-    # one colour scale about q = 0 in which neither side drowns the other
-    norm = TwoSlopeNorm(0.0, min(low, -0.05 * span), max(high, 0.05 * span))
-    first, last = _span(run)
-    edges = np.concatenate([[first], 0.5 * (run.time[1:] + run.time[:-1]), [last]])
-    sheet = axes.pcolormesh(x, edges, run.q, cmap="RdBu_r", norm=norm, rasterized=True)
-    bar = figure.colorbar(sheet, cax=_bar_axes(figure), label="excess slope q  (below 0: grains settle)")
     if low >= 0 or high <= 0:  # only the half of the scale that is there
-        bar.ax.set_ylim(0.0 if low >= 0 else norm.vmin, norm.vmax if low >= 0 else 0.0)
+        bar.set_ylim(0.0 if low >= 0 else sheet.norm.vmin, sheet.norm.vmax if low >= 0 else 0.0)
     if run.time.size == 1:
         axes.set_yticks([float(run.time[0])])
-    scale = run.units.x if run.units else np.asarray
-    for number in sorted({k.kink for k in run.kinks}):
-        path = [(k.time, k.x) for k in run.kinks if k.kink == number]
-        path += [(e.time, e.x) for e in run.events if e.kink == number]
-        t, at = np.array(sorted(path)).T
-        axes.plot(scale(at), t, color="k", lw=1.0, marker="." if at.size == 1 else None)
-    for number in sorted({s.step for s in run.vertical_steps or ()}):
-        t, at = np.array([(s.time, s.x) for s in run.vertical_steps or () if s.step == number]).T
-        axes.plot(scale(at), t, color="k", lw=2.6, marker="." if at.size == 1 else None)
-    for kind, marker in (("birth", "o"), ("blow-up", "*"), ("merge", "^"), ("exit", "s")):
+    if traced is not None:
+        axes.plot(scale(traced), run.time, color=INK, lw=0.45, alpha=0.55)
+    steps = {s.step for s in run.vertical_steps or ()}
+    for number, path in kink_paths(run).items():
+        marker = "." if path.x.size == 1 else None
+        axes.plot(scale(path.x), path.time, color=INK, lw=1.3, marker=marker, solid_capstyle="round")
+        if number in steps:
+            after = np.isin(path.time, [s.time for s in run.vertical_steps or () if s.step == number])
+            axes.plot(scale(path.x[after]), path.time[after], color=INK, lw=3.0, marker=marker)
+    for kind, marker in _EVENTS.items():
         marks = [e for e in run.events if e.event == kind]
         if marks:
-            axes.plot(
-                scale(np.array([e.x for e in marks])), [e.time for e in marks],
-                marker, ms=6, mfc="white", mec="k", ls="none", label=kind, clip_on=False,
-            )  # fmt: skip
-    if run.kinks:
-        axes.plot([], [], color="k", lw=1.0, label="kink")
-    if run.vertical_steps:
-        axes.plot([], [], color="k", lw=2.6, label="vertical step")
-    if run.kinks or run.vertical_steps:
-        axes.legend(loc="upper left", fontsize=8, framealpha=0.9)
-    _titles(axes, run)
+            at = scale(np.array([e.x for e in marks]))
+            axes.plot(at, [e.time for e in marks], marker, **_MARK, ls="none", clip_on=False, zorder=3)
+    style.legend_above(figure, keys, rows)
     axes.set_xlabel(x_label)
     axes.set_ylabel("t: mass of grains poured in")
     axes.set_xlim(x[0], x[-1])
     axes.set_ylim(first, last)
     return figure
+
+
+_EVENTS = {"birth": "o", "blow-up": "*", "merge": "^", "exit": "s"}
+_MARK: dict[str, Any] = {"ms": 4.5, "mfc": "white", "mec": INK, "mew": 0.8}
+
+
+def _keys_of_diagram(run: Run, traced: bool) -> list[Any]:
+    """Keys of a legend for what is on the diagram."""
+    lines = ((run.kinks, 1.3, "kink"), (run.vertical_steps, 3.0, "vertical step"), (traced, 0.45, "characteristic"))
+    keys = [Line2D([], [], color=INK, lw=width, label=label) for there, width, label in lines if there]
+    there = {e.event for e in run.events}
+    return keys + [Line2D([], [], ls="none", marker=m, label=k, **_MARK) for k, m in _EVENTS.items() if k in there]
+
+
+def _norm_of_q(run: Run) -> TwoSlopeNorm:
+    """One colour scale about q = 0 in which neither side drowns the other."""
+    low, high = float(run.q.min()), float(run.q.max())
+    if run.vertical_steps:  # where the profile jumps q has no bound
+        high = max(float(np.quantile(run.q, 0.98)), 0.0)
+    wide = max(-low, high)
+    if wide < 1e-9:  # a critical slope: rounding must not be drawn as if it were relief
+        wide = 1.0
+    return TwoSlopeNorm(0.0, min(low, -0.05 * wide), max(high, 0.05 * wide))
+
+
+def _characteristics(run: Run) -> Array | None:
+    """Places at the saved times, shape (times, lines), of the characteristics that are drawn; None if none are.
+
+    Those that end evenly spread at the last time and at the top, and those that run into kinks from both sides.
+    """
+    law = traceable_law(run) if run.time.size > 1 else None
+    if law is None:
+        return None
+    last, width = run.time.size - 1, float(np.ptp(run.x))
+    ends = [(last, float(run.x[0] + width * (j + 0.5) / TRACED[0])) for j in range(TRACED[0])]
+    ends += [(int(i), float(run.x[-1])) for i in style.spread(last + 1, TRACED[1])[1:]]
+    aside = 4.0 * width / run.cells  # a grid spreads a kink over some cells
+    for path in kink_paths(run).values():
+        lasts = (path.time[-1] - path.time[0]) / (run.time[-1] - run.time[0])
+        index = np.flatnonzero(np.isin(run.time, path.time))
+        for i in index[style.spread(index.size, max(round(4.0 * lasts), 1) + 1)[1:]]:
+            at = float(np.interp(run.time[i], path.time, path.x))
+            ends += [(int(i), at - aside), (int(i), min(at + aside, float(run.x[-1])))]
+    return trace_back(run, law, ends)
+
+
+@styled
+def draw_factor(run: Run) -> Figure:
+    """The factor K along the slope through time, with its corners at the kinks; logarithmic if it spans a decade."""
+    x, _, x_label, _ = axes_units(run, run.units)
+    figure = style.sheet(run.title, style.about(run), bool(run.kinks), 2.3)
+    axes = figure.subplots()
+    shown, colour = style.shown_times(run)
+    for i in shown:
+        axes.plot(x, run.K[i], color=colour(i), lw=0.9)
+    for at, height, index in _seen(run, x, run.K):
+        marked = np.isin(index, shown)
+        axes.plot(at[marked], height[marked], **_DOT, ls="none", zorder=3)
+    if run.K.max() > 10.0 * run.K.min():
+        axes.set_yscale("log")
+        style.plain_numbers(axes.yaxis)
+    axes.axhline(1.0, color="0.6", lw=0.6, zorder=0)
+    axes.set_xlabel(x_label)
+    axes.set_ylabel(_FACTORS[next((key for key in _FACTORS if key in run.case), "")])
+    axes.set_xlim(x[0], x[-1])
+    marks = Line2D([], [], ls="none", label="kink", **_DOT)
+    style.legend_above(figure, [marks] * bool(run.kinks))
+    style.bar_of_times(figure, run)
+    return figure
+
+
+_FACTORS: dict[str, str] = {"coefficient": "coefficient k", "layer": "flux of grains K", "": "factor K"}
