@@ -189,7 +189,7 @@ def summary(run: Run) -> dict[str, Any]:
 
 
 def to_json(content: Any) -> str:
-    """JSON text, with null for what is not a finite number."""
+    """JSON text, with null for what is not a finite number and paths as text."""
 
     def plain(value: Any) -> Any:
         if isinstance(value, dict):
@@ -198,6 +198,8 @@ def to_json(content: Any) -> str:
             return [plain(v) for v in value]
         if isinstance(value, np.generic):
             value = value.item()
+        if isinstance(value, Path):
+            return str(value)
         return None if isinstance(value, float) and not np.isfinite(value) else value
 
     return json.dumps(plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
