@@ -46,15 +46,16 @@ def kink_paths(run: Run) -> dict[int, KinkPath]:
             points[e.kink].append((e.time, e.x))
             into |= {e.kink: e.into} if e.event == "merge" else {}
             leaving |= {e.kink} if e.event == "exit" else set()
-    return {
-        number: KinkPath(*np.array(sorted(set(points[number]))).T, into.get(number), number in leaving)
-        for number in sorted(points)
-    }
+    paths = {}
+    for number in sorted(points):
+        time, x = np.array(sorted(set(points[number]))).T
+        paths[number] = KinkPath(time, x, into.get(number), number in leaving)
+    return paths
 
 
 def place(paths: Mapping[int, KinkPath], number: int | None, t: float) -> float:
     """Where a kink is at time t, or the one that it has merged into; NaN before it was seen and when it was lost."""
-    if number not in paths:
+    if number is None or number not in paths:
         return np.nan
     path = paths[number]
     if path.time[0] <= t <= path.time[-1]:

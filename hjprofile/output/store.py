@@ -27,8 +27,12 @@ from hjprofile.solvers.run import Event, KinkRecord, Run, Verdict, VerticalStep
 VTK_FOLDER = "vtk"
 STEPS_FILE = "vertical_steps.csv"
 _UNITS = ("length", "critical_slope", "x_top", "height_top")
-_HALF = re.compile(r"\..+\.(nc|csv|json|toml|png|npz|pvd|vtp|vtr)\.\w{8}")  # as `write_whole` names them
-_STALE = (STEPS_FILE, "profile.png", "diagram.png", "vtk/*.pvd", "vtk/*.vtp", "vtk/*.vtr")
+_HALF = re.compile(r"\..+\.(nc|csv|json|toml|png|svg|gif|mp4|npz|pvd|vtp|vtr)\.\w{8}")  # as `write_whole` names them
+_PICTURES = ("profile", "diagram", "factor", "comparison")
+_STALE = (
+    STEPS_FILE, *(f"{name}.{form}" for name in _PICTURES for form in ("png", "svg")), "profile.gif", "profile.mp4",
+    "vtk/*.pvd", "vtk/*.vtp", "vtk/*.vtr",
+)  # fmt: skip
 
 _VARIABLES = {  # name -> dimensions, CF long name, axis
     "time": (("time",), "mass of grains poured in", "T"),

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -15,7 +14,18 @@ from matplotlib.patches import Patch
 
 from hjprofile.evidence.tracing import kink_paths, slope_between, trace_back, traceable_law
 from hjprofile.output.plots import style
-from hjprofile.output.plots.style import DEPOSITED, ERODED, EXCESS, INK, amount, axes_units, change_of, span, styled
+from hjprofile.output.plots.style import (
+    DEPOSITED,
+    DOT,
+    ERODED,
+    EXCESS,
+    INK,
+    amount,
+    axes_units,
+    change_of,
+    span,
+    styled,
+)
 from hjprofile.solvers.run import Array, Run
 
 RASTER = 420, 640  # times and places at which the (x, t) plane is coloured
@@ -44,23 +54,21 @@ def draw_profiles(run: Run) -> Figure:
         middle.plot(x, u[i] - u[0], color=colour(i), lw=0.9)
         bottom.plot(run.x_cell if not run.units else run.units.x(run.x_cell), run.q[i], color=colour(i), lw=0.9)
     for axes, heights in ((top, u), (middle, u - u[0])):
-        for at, height, index in _seen(run, x, heights):
+        for at, height, index in style.kinks_on(run, x, heights):
             axes.plot(at, height, color=INK, lw=0.6, zorder=2.5)
             marked = np.isin(index, shown)
-            axes.plot(at[marked], height[marked], **_DOT, ls="none", zorder=3)
+            axes.plot(at[marked], height[marked], **DOT, ls="none", zorder=3)
     style.legend_above(figure, keys)
     top.set_ylabel(u_label)
     middle.set_ylabel("change of height")
-    _axis_of_q(bottom, run)
-    bottom.set_xlabel(x_label)
-    bottom.set_xlim(x[0], x[-1])
+    style.axis_of_q(bottom, run)
+    style.axis_of_x(bottom, x, x_label)
     figure.align_ylabels([top, middle, bottom])
     style.bar_of_times(figure, run)
     return figure
 
 
-_DOT: dict[str, Any] = {"marker": "o", "ms": 2.6, "mfc": "white", "mec": INK, "mew": 0.6}
-_KINK = Line2D([], [], color=INK, lw=0.6, label="kink", **_DOT)
+_KINK = Line2D([], [], color=INK, lw=0.6, label="kink", **DOT)
 
 
 def _keys_of_change(u: Array, first: Array, x: Array) -> list[Any]:
@@ -79,27 +87,6 @@ def _shade(axes: Axes, x: Array, before: Array | float, after: Array) -> list[An
     ]
 
 
-def _seen(run: Run, x: Array, heights: Array) -> list[tuple[Array, Array, Array]]:
-    """Places, heights and numbers of the saved times of each kink."""
-    scale = run.units.x if run.units else np.asarray
-    found = []
-    for number in sorted({k.kink for k in run.kinks}):
-        mine = [k for k in run.kinks if k.kink == number]
-        index = np.searchsorted(run.time, [k.time for k in mine])
-        at = scale(np.array([k.x for k in mine]))
-        found.append((at, np.array([np.interp(a, x, heights[i]) for a, i in zip(at, index, strict=True)]), index))
-    return found
-
-
-def _axis_of_q(axes: Axes, run: Run) -> None:
-    axes.set_ylabel("excess slope q")
-    axes.axhline(0.0, color="0.6", lw=0.6, zorder=0)
-    if run.vertical_steps:  # where the profile jumps q has no bound, and what is beside it should be seen
-        axes.set_yscale("symlog", linthresh=1.0)
-        axes.set_ylim(bottom=min(float(run.q.min()), 0.0) - 0.1)
-        style.plain_numbers(axes.yaxis)
-
-
 @styled
 def draw_diagram(run: Run) -> Figure:
     """q over the (x, t) plane with the paths of the kinks, their births, merges and exits, and characteristics.
@@ -114,52 +101,56 @@ def draw_diagram(run: Run) -> Figure:
     rows = -(-len(keys) // 5)
     figure = style.sheet(run.title, style.about(run), rows, 3.1, right=0.88)
     axes = figure.subplots()
-    first, last = span(run)
+    (first, last), norm = span(run.time), _norm_of_q(run)
     times, places = (a + (b - a) * (np.arange(n) + 0.5) / n for (a, b), n in zip(
         ((first, last), (run.x[0], run.x[-1])), RASTER, strict=True
     ))  # fmt: skip
     sheet = axes.imshow(
-        slope_between(run, times, places), cmap=EXCESS, norm=_norm_of_q(run), origin="lower", aspect="auto",
+        slope_between(run, times, places), cmap=EXCESS, norm=norm, origin="lower", aspect="auto",
         extent=(x[0], x[-1], first, last), interpolation="nearest",
     )  # fmt: skip
     bar = style.bar_of(figure, sheet, "excess slope q")
     low, high = float(run.q.min()), float(run.q.max())
     if low >= 0 or high <= 0:  # only the half of the scale that is there
-        bar.set_ylim(0.0 if low >= 0 else sheet.norm.vmin, sheet.norm.vmax if low >= 0 else 0.0)
+        bar.set_ylim(0.0 if low >= 0 else norm.vmin, norm.vmax if low >= 0 else 0.0)
     if run.time.size == 1:
         axes.set_yticks([float(run.time[0])])
     if traced is not None:
         axes.plot(scale(traced), run.time, color=INK, lw=0.45, alpha=0.55)
     steps = {s.step for s in run.vertical_steps or ()}
     for number, path in kink_paths(run).items():
-        marker = "." if path.x.size == 1 else None
-        axes.plot(scale(path.x), path.time, color=INK, lw=1.3, marker=marker, solid_capstyle="round")
+        dot = "." if path.x.size == 1 else None  # a line through one point is invisible
+        axes.plot(scale(path.x), path.time, color=INK, lw=1.3, marker=dot, solid_capstyle="round")
         if number in steps:
             after = np.isin(path.time, [s.time for s in run.vertical_steps or () if s.step == number])
-            axes.plot(scale(path.x[after]), path.time[after], color=INK, lw=3.0, marker=marker)
+            axes.plot(scale(path.x[after]), path.time[after], color=INK, lw=2.6, marker=dot)
     for kind, marker in _EVENTS.items():
         marks = [e for e in run.events if e.event == kind]
         if marks:
             at = scale(np.array([e.x for e in marks]))
-            axes.plot(at, [e.time for e in marks], marker, **_MARK, ls="none", clip_on=False, zorder=3)
+            axes.plot(at, [e.time for e in marks], **marker, clip_on=False, zorder=3)
     style.legend_above(figure, keys, rows)
-    axes.set_xlabel(x_label)
     axes.set_ylabel("t: mass of grains poured in")
-    axes.set_xlim(x[0], x[-1])
+    style.axis_of_x(axes, x, x_label)
     axes.set_ylim(first, last)
     return figure
 
 
-_EVENTS = {"birth": "o", "blow-up": "*", "merge": "^", "exit": "s"}
-_MARK: dict[str, Any] = {"ms": 4.5, "mfc": "white", "mec": INK, "mew": 0.8}
+_MARK: dict[str, Any] = {"ls": "none", "ms": 4.5, "mfc": "white", "mec": INK, "mew": 0.8}
+_EVENTS: dict[str, dict[str, Any]] = {
+    "birth": _MARK | {"marker": "o"},
+    "blow-up": _MARK | {"marker": "*", "ms": 8.0},
+    "merge": _MARK | {"marker": "^"},
+    "exit": _MARK | {"marker": "s"},
+}
 
 
 def _keys_of_diagram(run: Run, traced: bool) -> list[Any]:
     """Keys of a legend for what is on the diagram."""
-    lines = ((run.kinks, 1.3, "kink"), (run.vertical_steps, 3.0, "vertical step"), (traced, 0.45, "characteristic"))
+    lines = ((run.kinks, 1.3, "kink"), (run.vertical_steps, 2.6, "vertical step"), (traced, 0.45, "characteristic"))
     keys = [Line2D([], [], color=INK, lw=width, label=label) for there, width, label in lines if there]
     there = {e.event for e in run.events}
-    return keys + [Line2D([], [], ls="none", marker=m, label=k, **_MARK) for k, m in _EVENTS.items() if k in there]
+    return keys + [Line2D([], [], label=k, **m) for k, m in _EVENTS.items() if k in there]
 
 
 def _norm_of_q(run: Run) -> TwoSlopeNorm:
@@ -203,17 +194,16 @@ def draw_factor(run: Run) -> Figure:
     shown, colour = style.shown_times(run)
     for i in shown:
         axes.plot(x, run.K[i], color=colour(i), lw=0.9)
-    for at, height, index in _seen(run, x, run.K):
+    for at, height, index in style.kinks_on(run, x, run.K):
         marked = np.isin(index, shown)
-        axes.plot(at[marked], height[marked], **_DOT, ls="none", zorder=3)
+        axes.plot(at[marked], height[marked], **DOT, ls="none", zorder=3)
     if run.K.max() > 10.0 * run.K.min():
         axes.set_yscale("log")
         style.plain_numbers(axes.yaxis)
     axes.axhline(1.0, color="0.6", lw=0.6, zorder=0)
-    axes.set_xlabel(x_label)
     axes.set_ylabel(_FACTORS[next((key for key in _FACTORS if key in run.case), "")])
-    axes.set_xlim(x[0], x[-1])
-    marks = Line2D([], [], ls="none", label="kink", **_DOT)
+    style.axis_of_x(axes, x, x_label)
+    marks = Line2D([], [], ls="none", label="kink", **DOT)
     style.legend_above(figure, [marks] * bool(run.kinks))
     style.bar_of_times(figure, run)
     return figure
