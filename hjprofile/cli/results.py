@@ -16,6 +16,7 @@ Film = Annotated[
 ]
 Fps = Annotated[float, Parameter(help="Saved times a second; 8 by default.")]
 
+
 @app.command
 def plot(result: Path, /, *, out: Into = None, json: Json = False) -> None:
     """Draw the pictures of a result folder again as PNG and as SVG, into it or into another folder."""

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomli_w
 
 from hjprofile.errors import InputError
 from hjprofile.problem import Problem, coefficient, erosion, profiles
@@ -362,3 +363,8 @@ def find_case(case: str | Path) -> Path:
     raise InputError(
         f"{case}: no such file, nor a case that comes with the package{hint} (they are: {', '.join(shipped)})"
     )
+
+
+def to_toml(content: Mapping[str, Any]) -> str:
+    """TOML text of a resolved case."""
+    return tomli_w.dumps(dict(content))
