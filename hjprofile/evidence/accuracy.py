@@ -57,7 +57,7 @@ def shared(first: Run, second: Run) -> Shared:
     if times.size == 0:
         raise InputError("the runs share no saved time, so they cannot be compared")
     cells = min(first.cells, second.cells)
-    ends = [(float(run.x[0]), float(run.x[-1])) for run in (first, second)]
+    ends = [(float(run.x[0]), float(run.x[-1]) + 0.0) for run in (first, second)]
     if ends[0] != ends[1]:
         (a, b), (c, d) = ends
         raise InputError(f"grids over [{a:g}, {b:g}] and [{c:g}, {d:g}] differ, so the runs cannot be compared")
