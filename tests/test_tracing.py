@@ -1,4 +1,4 @@
-"""Between saved times: characteristics against closed forms and the invariant, q along lines that move with the kinks."""
+"""Between saved times: characteristics against closed forms and the invariant, q beside moving kinks."""
 
 from functools import lru_cache
 
@@ -80,7 +80,9 @@ def test_steady_slope():
     """K = 1 - a x, dx/dt = (K - a)²/K: ln(K - a) - a/(K - a) + a t is constant (theory, section 6e)."""
     a, off = 0.5, []
     for snapshots in SAVED:
-        run = hj.solve(hj.Problem(hj.rational(), hj.steady(a), end=3.0, snapshots=snapshots), 1e-10, hj.Grid(-2.0, 2000))
+        run = hj.solve(
+            hj.Problem(hj.rational(), hj.steady(a), end=3.0, snapshots=snapshots), 1e-10, hj.Grid(-2.0, 2000)
+        )
         (x,) = trace_back(run, hj.rational(), [(snapshots - 1, -0.1)]).T
         K = 1.0 - a * x
         constant = np.log(K - a) - a / (K - a) + a * run.time
@@ -143,7 +145,7 @@ def test_places_of_kinks():
 
 
 def test_q_between_saved_times_moves_with_the_kinks():
-    """Second order in the mean, down to what the kink's own cell costs; at fixed places the kink would be there twice."""
+    """Second order in the mean, down to what the kink's cell costs; at fixed places the kink would be there twice."""
     part, x, saved = np.array([0.25, 0.5, 0.75]), np.linspace(-9.9, -0.01, 5000), (3, 5, 9)
     errors, at_fixed_places = [], []
     for snapshots in saved:

@@ -120,13 +120,13 @@ def _barriers(paths: Mapping[int, KinkPath], before: float, after: float) -> lis
 
 
 def slope_between(run: Run, times: Array, x: Array) -> Array:
-    """q at `times` (increasing, within those saved) and `x` (increasing), shape (times, x).
+    """q at `times` (increasing; before and after the saved ones as at these) and `x` (increasing), shape (times, x).
 
     Linear between saved times and cells, along lines that move with the kinks, so that these stay sharp; what lies
     between kinks that merge or leave keeps the q that it had, and a kink that is born is blurred until the next time.
     """
     paths, narrow = kink_paths(run), 8.0 * float(run.x[1] - run.x[0])
-    q = np.empty((times.size, x.size))
+    times, q = np.clip(times, run.time[0], run.time[-1]), np.empty((times.size, x.size))
     ends = float(run.x[0]), float(run.x[-1])
     last = max(run.time.size - 2, 0)
     index = np.clip(np.searchsorted(run.time, times, "right") - 1, 0, last)

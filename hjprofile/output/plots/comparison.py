@@ -67,10 +67,9 @@ def draw_comparison(first: Run, second: Run, names: tuple[str, str]) -> Figure:
         middle.plot(both.x, both.height[0, i] - both.height[1, i], color=colour, lw=0.9)
         bottom.plot(both.x_cell, both.slope[0, i] - both.slope[1, i], color=colour, lw=0.9)
     largest = np.abs(both.height[0] - both.height[1]).max(axis=1)
+    distances = [(t, d) for t in times for d in kink_distances(first, second, t) if d > ROUNDING]
     last.plot(times, np.where(largest > ROUNDING, largest, np.nan), **_LARGEST)
-    for t in times:
-        apart = kink_distances(first, second, t)
-        last.plot(np.full(apart.size, t), np.where(apart > ROUNDING, apart, np.nan), **_KINKS)
+    last.plot(*np.array(distances).reshape(-1, 2).T, **_KINKS)
     runs = [Line2D([], [], **look, label=name) for name, look in zip(names, _LOOKS, strict=True)]
     style.legend_above(figure, [runs[0], Line2D([], [], **_LARGEST), runs[1], Line2D([], [], **_KINKS)], rows=2)
     for axes, label in zip((top, middle, bottom), ("height u", "difference of u", "difference of q"), strict=True):
@@ -81,8 +80,11 @@ def draw_comparison(first: Run, second: Run, names: tuple[str, str]) -> Figure:
     last.set_ylabel("distance")
     last.set_xlabel("t: mass of grains poured in")
     last.set_xlim(*style.span(times))
-    last.set_yscale("log")
-    style.plain_numbers(last.yaxis)
+    if distances or largest.max() > ROUNDING:
+        last.set_yscale("log")
+        style.plain_numbers(last.yaxis)
+    else:
+        last.set_ylim(0.0, 1.0)
     figure.align_ylabels([top, middle, bottom, last])
     style.bar_of(figure, ScalarMappable(norm, TIMES), "t", bottom=bottom.get_position().y0)
     return figure

@@ -99,7 +99,7 @@ def draw_diagram(run: Run) -> Figure:
     traced = _characteristics(run)
     keys = _keys_of_diagram(run, traced is not None)
     rows = -(-len(keys) // 5)
-    figure = style.sheet(run.title, style.about(run), rows, 3.1, right=0.88)
+    figure = style.sheet(run.title, style.about(run), rows, 3.1)
     axes = figure.subplots()
     (first, last), norm = span(run.time), _norm_of_q(run)
     times, places = (a + (b - a) * (np.arange(n) + 0.5) / n for (a, b), n in zip(

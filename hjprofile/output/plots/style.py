@@ -80,7 +80,7 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def sheet(title: str, lines: Sequence[str], keys: int, height: float, right: float = 0.82) -> Figure:
+def sheet(title: str, lines: Sequence[str], keys: int, height: float, right: float = 0.92) -> Figure:
     """A figure for axes of `height` inches, below a title, lines of text and rows of keys of a legend.
 
     Margins are given: to find them out would cost as much as the drawing.
@@ -172,7 +172,7 @@ def bar_of(figure: Figure, mappable: ScalarMappable, label: str, bottom: float |
     foot = edges.bottom if bottom is None else bottom
     place = (edges.right + 0.6 * width, foot, width, edges.top - foot)
     axes = figure.add_axes(place, label="<colorbar>")
-    figure.colorbar(mappable, cax=axes).set_label(label)
+    figure.colorbar(mappable, cax=axes, ticks=MaxNLocator(9, steps=[1, 2, 5, 10])).set_label(label)  # of few digits
     return axes
 
 
