@@ -13,7 +13,16 @@ import hjprofile.cli.results
 import hjprofile.cli.solving
 import hjprofile.cli.studies  # noqa: F401  each has commands
 from hjprofile.cli.common import app
-from hjprofile.errors import InputError, RunError
+from hjprofile.errors import PAGE, InputError, RunError
+
+# command -> heading of PAGE, for a sentence that has none of its own; the other commands ask whether it is right
+_ABOUT = {
+    "run": "a-run-that-stops",
+    "sweep": "a-sweep",
+    "fit": "a-fit",
+    "plot": "a-result-folder",
+    "export": "a-result-folder",
+}
 
 
 def main(arguments: list[str] | None = None) -> NoReturn:
@@ -23,33 +32,37 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     try:
         app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
         sys.stdout.flush()
-    except (InputError, CycloptsError) as error:
-        _leave(f"hjprofile: {error}", 2)
-    except RunError as error:
-        _leave(f"hjprofile: {error}", 1)
+    except CycloptsError as error:
+        _leave(f"hjprofile: {error}", 2, "the-command-line")
+    except (InputError, RunError) as error:
+        command = (sys.argv[1:] if arguments is None else arguments)[0]
+        about = error.about or _ABOUT.get(command, "a-check-or-a-study")
+        _leave(f"hjprofile: {error}", 2 if isinstance(error, InputError) else 1, about)
     except MemoryError:
-        _leave("hjprofile: the machine's memory is not enough; use fewer cells or snapshots", 1)
+        _leave("hjprofile: the machine's memory is not enough; use fewer cells or snapshots", 1, "memory")
     except BrokenPipeError:  # whoever read stdout has left; nor is there anything to say when Python flushes at exit
         _drop_stdout()
         sys.exit(1)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        _leave(f"hjprofile: {where}{error.strerror or error}; nothing was left half-written", 1)
+        _leave(f"hjprofile: {where}{error.strerror or error}; nothing was left half-written", 1, "a-place-to-write")
     except KeyboardInterrupt:
         try:
-            _leave("hjprofile: interrupted; nothing was left half-written", 1)
+            _leave("hjprofile: interrupted; nothing was left half-written", 1, "interrupted")
         finally:
             if arguments is None:  # Python would end with the signal instead if it came while a module ran exec()
                 os._exit(1)
     sys.exit(0)
 
 
-def _leave(sentence: str, code: int) -> NoReturn:
+def _leave(sentence: str, code: int, about: str) -> NoReturn:
+    """Says a sentence, and on a line of its own under which heading of PAGE there is more of it."""
     try:
         sys.stdout.flush()
     except OSError:  # a full disk: the sentence below says so, or says what matters more
         _drop_stdout()
     print(" ".join(sentence.split()), file=sys.stderr)
+    print(f"  more: {PAGE}#{about}", file=sys.stderr)
     sys.exit(code)
 
 

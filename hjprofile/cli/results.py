@@ -77,7 +77,7 @@ def export(
     from hjprofile.output.store import VTK_FOLDER, load_run
 
     if not vtk:
-        raise InputError("export needs a format: --vtk")
+        raise InputError("export needs a format: --vtk", about="the-command-line")
     from hjprofile.output.vtk import vtk_files
 
     _write(out or result / VTK_FOLDER, vtk_files(load_run(result)), json)

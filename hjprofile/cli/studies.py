@@ -21,7 +21,7 @@ def check(*case: CasePath, out: Out = None, json: Json = False) -> None:
     from hjprofile.output.store import open_folder, to_json, write_whole
 
     if not case:
-        raise InputError("check needs at least one CASE: a TOML file or the name of a shipped case")
+        raise InputError("check needs at least one CASE: a TOML file or the name of a shipped case", "the-command-line")
     folder, loaded = load_cases(case, out)
     open_folder(folder)
     verdicts = []
@@ -50,7 +50,7 @@ def chart(*case: CasePath, out: Out = None, json: Json = False) -> None:
     from hjprofile.output.store import open_folder, to_csv, write_whole
 
     if not case:
-        raise InputError("chart needs at least one CASE: a TOML file or the name of a shipped case")
+        raise InputError("chart needs at least one CASE: a TOML file or the name of a shipped case", "the-command-line")
     folder, loaded = load_cases(case, out)
     open_folder(folder)
     charts, reports = {}, []

@@ -242,9 +242,16 @@ def load_run(folder: str | Path) -> Run:
             account=content.get("account", ""),
         )  # fmt: skip
     except FileNotFoundError as error:
-        raise InputError(f"{folder} is not a complete result folder: {Path(error.filename).name} is missing") from None
+        under = Path("results") / folder
+        remedy = f"did you mean {under}?" if under.is_dir() else "`hjprofile run` writes them whole"
+        message = f"{folder} is not a complete result folder: {Path(error.filename).name} is missing; {remedy}"
+        raise InputError(message, about="a-result-folder") from None
+    except NotADirectoryError:
+        message = f"{folder} is not a readable result folder: it is a file; name the folder that `hjprofile run` wrote"
+        raise InputError(message, about="a-result-folder") from None
     except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
-        raise InputError(f"{folder} is not a readable result folder: {type(error).__name__}: {error}") from None
+        message = f"{folder} is not a readable result folder: {type(error).__name__}: {error}; run the case again"
+        raise InputError(message, about="a-result-folder") from None
 
 
 def _number(value: float | None) -> float:

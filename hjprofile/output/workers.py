@@ -50,7 +50,7 @@ def processes(workers: int | None) -> Iterator[Executor]:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     if workers is not None and workers < 1:
-        raise InputError(f"--workers {workers} must be 1 or more")
+        raise InputError(f"--workers {workers} must be 1 or more", about="the-command-line")
     own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     pool = Workers if hasattr(signal, "pthread_sigmask") else ProcessPoolExecutor
     with pool(workers or own, multiprocessing.get_context("spawn"), _ward, (os.getpid(),)) as executor:

@@ -126,7 +126,7 @@ class Problem:
         if method in OFF_GRID:
             raise InputError(
                 f"refresh applies to methods on a grid; {method} follows the invariant I, which a factor that is kept "
-                "does not have"
+                "does not have; leave it out"
             )
         if self.thickness or self.law.grows_linearly or self.line == "whole":
             what = (
