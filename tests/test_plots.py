@@ -296,6 +296,18 @@ def test_erosion_and_deposition_are_told_apart():
     assert keys_of(drawn("flat", draw_profiles)) == []
 
 
+@scene
+def test_the_colour_bar_shows_the_sides_of_the_critical_slope_that_are_there(name):
+    run = solved(name)
+    (bar,) = set(drawn(name, draw_diagram).axes) - set(plain(drawn(name, draw_diagram)))
+    low, high = bar.get_ylim()
+    slight = 1e-3 * np.abs(run.q).max()
+    if name != "flat":
+        assert (low < 0.0, high > 0.0) == (run.q.min() < -slight, run.q.max() > slight)
+    ticks = bar.get_yticks()
+    assert 0.0 in ticks and (low == 0.0 or ticks.min() < 0.0) and (high == 0.0 or ticks.max() > 0.0)
+
+
 def test_the_factor_is_logarithmic_where_it_spans_a_decade():
     (axes,) = plain(drawn("survey", draw_factor))
     assert np.ptp(np.log10(solved("survey").K)) > 1.0 and axes.get_yscale() == "log"

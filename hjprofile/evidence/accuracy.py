@@ -10,6 +10,7 @@ import numpy as np
 from hjprofile.errors import InputError
 from hjprofile.solvers.run import Array, Run
 
+ABOUT = "a-check-or-a-study"
 STRONG = 0.25  # jump above which every method here sees a kink on a few hundred cells
 
 
@@ -55,14 +56,16 @@ def shared(first: Run, second: Run) -> Shared:
     """
     times, i, j = np.intersect1d(first.time, second.time, return_indices=True)
     if times.size == 0:
-        raise InputError("the runs share no saved time, so they cannot be compared")
+        raise InputError("the runs share no saved time, so they cannot be compared", ABOUT)
     cells = min(first.cells, second.cells)
     ends = [(float(run.x[0]), float(run.x[-1]) + 0.0) for run in (first, second)]
     if ends[0] != ends[1]:
         (a, b), (c, d) = ends
-        raise InputError(f"grids over [{a:g}, {b:g}] and [{c:g}, {d:g}] differ, so the runs cannot be compared")
+        raise InputError(f"grids over [{a:g}, {b:g}] and [{c:g}, {d:g}] differ, so the runs cannot be compared", ABOUT)
     if first.cells % cells or second.cells % cells:
-        raise InputError(f"grids of {first.cells} and {second.cells} cells do not nest, so they cannot be compared")
+        raise InputError(
+            f"grids of {first.cells} and {second.cells} cells do not nest, so they cannot be compared", ABOUT
+        )
     coarse = first if first.cells == cells else second
     height = np.stack([run.u[at][:, :: run.cells // cells] for run, at in ((first, i), (second, j))])
     dx = float(np.ptp(first.x)) / cells

@@ -34,12 +34,16 @@ def animation(run: Run, form: str, fps: float = FPS, progress: Callable[[float],
     Raises InputError for another form, for a rate that is not positive, and for MP4 where there is no ffmpeg.
     """
     if form not in FORMS:
-        raise InputError(f"an animation ends in {' or '.join(FORMS)}, not in {form!r}")
+        raise InputError(f"an animation ends in {' or '.join(FORMS)}, not in {form!r}", "a-moving-picture")
     if not 0.0 < fps <= 50.0:
-        raise InputError(f"--fps {fps:g} must be a positive number of pictures a second, at most 50")
+        raise InputError(
+            f"--fps {fps:g} must be a positive number of pictures a second, at most 50", "a-moving-picture"
+        )
     ffmpeg = shutil.which("ffmpeg")
     if form == ".mp4" and ffmpeg is None:
-        raise InputError("an MP4 needs the program ffmpeg, which is not on the PATH; install it, or write a .gif")
+        raise InputError(
+            "an MP4 needs the program ffmpeg, which is not on the PATH; install it, or write a .gif", "a-moving-picture"
+        )
     images = []
     for i, image in enumerate(frames(run)):
         images.append(image)
@@ -139,5 +143,5 @@ def _mp4(images: list[Array], fps: float, ffmpeg: str) -> bytes:
         done = subprocess.run(command, input=b"".join(map(np.ndarray.tobytes, shown)), capture_output=True)
         if done.returncode:
             reason = done.stderr.decode(errors="replace").strip().splitlines() or [f"exit code {done.returncode}"]
-            raise RunError(f"ffmpeg could not write the MP4: {reason[-1]}; a .gif needs no ffmpeg")
+            raise RunError(f"ffmpeg could not write the MP4: {reason[-1]}; a .gif needs no ffmpeg", "a-moving-picture")
         return file.read_bytes()

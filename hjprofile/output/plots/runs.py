@@ -110,9 +110,11 @@ def draw_diagram(run: Run) -> Figure:
         extent=(x[0], x[-1], first, last), interpolation="nearest",
     )  # fmt: skip
     bar = style.bar_of(figure, sheet, "excess slope q")
-    low, high = float(run.q.min()), float(run.q.max())
-    if low >= 0 or high <= 0:  # only the half of the scale that is there
-        bar.set_ylim(0.0 if low >= 0 else norm.vmin, norm.vmax if low >= 0 else 0.0)
+    least, most = _ends_of_q(run, norm)
+    many = 4 if least < 0.0 < most else 8
+    bar.set_yticks(np.unique([*style.round_numbers(least, 0.0, many), *style.round_numbers(0.0, most, many)]))
+    bar.yaxis.set_major_formatter(lambda q, _: f"{q:g}".replace("-", "−"))
+    bar.set_ylim(least, most)
     if run.time.size == 1:
         axes.set_yticks([float(run.time[0])])
     if traced is not None:
@@ -162,6 +164,16 @@ def _norm_of_q(run: Run) -> TwoSlopeNorm:
     if wide < 1e-9:  # a critical slope: rounding must not be drawn as if it were relief
         wide = 1.0
     return TwoSlopeNorm(0.0, min(low, -0.05 * wide), max(high, 0.05 * wide))
+
+
+def _ends_of_q(run: Run, norm: TwoSlopeNorm) -> tuple[float, float]:
+    """The part of the colour scale that a run needs: both sides of the critical slope, or one."""
+    slight = 1e-3 * float(np.abs(run.q).max())
+    steep, gentle = run.q.max() > slight, run.q.min() < -slight
+    return (
+        float(norm.vmin or 0.0) if gentle or not steep else 0.0,
+        float(norm.vmax or 0.0) if steep or not gentle else 0.0,
+    )
 
 
 def _characteristics(run: Run) -> Array | None:

@@ -176,6 +176,11 @@ def bar_of(figure: Figure, mappable: ScalarMappable, label: str, bottom: float |
     return axes
 
 
+def round_numbers(low: float, high: float, most: int) -> list[float]:
+    """At most so many numbers of few digits, evenly spaced, from `low` to `high`."""
+    return [float(v) for v in MaxNLocator(most, steps=[1, 2, 5, 10]).tick_values(low, high) if low <= v <= high]
+
+
 def bar_of_times(figure: Figure, run: Run) -> None:
     """The colour bar of `shown_times`."""
     axes = bar_of(figure, ScalarMappable(Normalize(*span(run.time)), TIMES), "t: mass of grains poured in")
