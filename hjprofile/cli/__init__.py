@@ -56,13 +56,12 @@ def main(arguments: list[str] | None = None) -> NoReturn:
 
 
 def _leave(sentence: str, code: int, about: str) -> NoReturn:
-    """Says a sentence, and on a line of its own under which heading of PAGE there is more of it."""
+    """Says a sentence, and under which heading of PAGE there is more of it."""
     try:
         sys.stdout.flush()
     except OSError:  # a full disk: the sentence below says so, or says what matters more
         _drop_stdout()
-    print(" ".join(sentence.split()), file=sys.stderr)
-    print(f"  more: {PAGE}#{about}", file=sys.stderr)
+    print(" ".join(sentence.split()), f"({PAGE}#{about})", file=sys.stderr)
     sys.exit(code)
 
 

@@ -24,10 +24,13 @@ def drawing_helper(wanted: bool) -> Iterator[Executor | None]:
         yield None
         return
     import multiprocessing
+    import warnings
     from concurrent.futures import ProcessPoolExecutor
 
     with ProcessPoolExecutor(1, multiprocessing.get_context("fork"), _prepare, (os.getpid(),)) as helper:
-        helper.submit(int)  # so that it starts now
+        with warnings.catch_warnings():  # Python 3.12 and later warn of BLAS's threads too, which stand a fork
+            warnings.simplefilter("ignore", DeprecationWarning)
+            helper.submit(int)  # so that it starts now
         yield helper
 
 

@@ -31,6 +31,8 @@ ABOUT = {  # section -> heading of the page on errors
     "solver": "method-and-tolerance",
 }
 
+LONGEST_SHOWN = 400  # characters of a value in a message
+
 
 @dataclass(frozen=True)
 class Case:
@@ -98,10 +100,12 @@ class _Section:
 
 def _shown(value: Any) -> str:
     """The value as a message shows it."""
-    try:
-        return repr(value)
-    except (ValueError, RecursionError):  # a hexadecimal number of thousands of digits, a dotted key of as many parts
-        return "(too long to be shown)"
+    with suppress(
+        ValueError, RecursionError
+    ):  # a hexadecimal number of thousands of digits, a dotted key of as many parts
+        if len(text := repr(value)) <= LONGEST_SHOWN:
+            return text
+    return "(too long to be shown)"
 
 
 def _is_number(text: str) -> bool:
