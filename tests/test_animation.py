@@ -24,7 +24,7 @@ def solved(name="bump"):
         case = hj.load_case("hillslope", {"domain.cells": 260, "time.end": 0.5, "time.snapshots": 4})
         return hj.solve_case(case)
     profile = hj.bumps([0.8, -0.3], [-3.0, -1.5], [0.5, 0.4])
-    end, snapshots = (0.0, 1) if name == "no time" else (2.0, 6)
+    end, snapshots = {"bump": (2.0, 6), "short": (2.0, 2), "no time": (0.0, 1)}[name]
     problem = hj.Problem(hj.rational(), profile, end=end, snapshots=snapshots, title="A bump breaks")
     return hj.solve_hj(problem, hj.Grid(-5.0, 200))
 
@@ -72,8 +72,8 @@ def test_colours_of_the_areas_grow():
         assert count[-1] > 300 and np.corrcoef(count, area)[0, 1] > 0.95  # measured 0.97
 
 
-def test_a_gif(monkeypatch):
-    told = []
+def test_a_gif():
+    told, images = [], list(frames(solved()))
     data = animation(solved(), ".gif", 5.0, told.append)
     assert told == [(i + 1) / 6 for i in range(6)] and len(data) < 2e5
     with Image.open(io.BytesIO(data)) as gif:
@@ -84,14 +84,13 @@ def test_a_gif(monkeypatch):
             lasts.append(gif.info["duration"])
             shown = np.asarray(gif.convert("RGB")).astype(int)
             assert tuple(shown[0, 0]) == (255, 255, 255)
-            assert np.abs(shown - list(frames(solved()))[i]).mean() < 1.0 if i in (0, 5) else True  # 64 colours
+            assert np.abs(shown - images[i]).mean() < 1.0  # 64 colours
         assert lasts == [200] * 5 + [1500]
-    assert data == animation(solved(), ".gif", 5.0)
 
 
 @pytest.fixture
 def result(in_tmp):
-    write_run(solved(), "bump", vtk=False, plots=False)
+    write_run(solved("short"), "bump", vtk=False, plots=False)
     return in_tmp / "bump"
 
 
@@ -103,7 +102,7 @@ def test_the_command(result, call):
     assert call("animate", "bump", "--out", "deep/film.gif", "--fps", "20")[0] == 0
     with Image.open("deep/film.gif") as gif:
         assert gif.info["duration"] == 50
-    write_run(solved(), "bump", vtk=False, plots=False)  # a new run there
+    write_run(solved("short"), "bump", vtk=False, plots=False)  # a new run there
     assert not (result / "profile.gif").exists()
 
 
@@ -154,7 +153,7 @@ def test_an_mp4_by_ffmpeg(result, call, ffmpeg):
     assert call("animate", "bump", "--out", "film.mp4", "--fps", "4")[0] == 0
     size, options = eval((result.parent / "film.mp4").read_text())
     rows, columns, _ = next(frames(solved())).shape
-    assert size == (6 + 6) * rows * columns * 3  # the last picture stays for 1.5 seconds
+    assert size == (2 + 6) * rows * columns * 3  # the last picture stays for 1.5 seconds
     assert f"{columns}x{rows}" in options and options[options.index("-r") + 1] == "4" and "yuv420p" in options
 
 

@@ -10,6 +10,7 @@ from test_plots import assert_legible
 
 import hjprofile as hj
 from hjprofile.evidence.accuracy import compare, kink_distances, shared
+from hjprofile.output.plots import style
 from hjprofile.output.plots.comparison import LONGEST, draw_comparison
 from hjprofile.output.plots.style import TWO_RUNS
 from hjprofile.output.store import write_run
@@ -95,7 +96,8 @@ def results(in_tmp):
     return in_tmp
 
 
-def test_the_command(results, call):
+def test_the_command(results, call, monkeypatch):
+    monkeypatch.setattr(style, "encode", lambda figure, form: f"a picture as {form}")  # that takes half a second
     code, out, err = call("compare", "a", "b")
     norms = compare(solved(100), solved(400))
     assert (code, err) == (0, "") and f"{norms.height_l1:.2g}" in out and f"{norms.kinks:.2g}" in out
