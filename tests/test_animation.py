@@ -37,6 +37,9 @@ def test_every_saved_time_is_shown(name):
     figure.canvas.draw()
     limits = [(axes.get_xlim(), axes.get_ylim()) for axes in figure.axes]
     top, bottom = figure.axes
+    for axes, values in ((top, run.units.height(run.u) if run.units else run.u), (bottom, run.q)):
+        low, high = axes.get_ylim()
+        assert low < values.min() and values.max() < high  # room for all times
     shades, trails, dots = top.collections, top.lines[2:-1], top.lines[-1]
     x, u = (run.units.x(run.x), run.units.height(run.u)) if run.units else (run.x, run.u)
     for i in range(run.time.size):

@@ -55,14 +55,16 @@ def kink_paths(run: Run) -> dict[int, KinkPath]:
 
 def place(paths: Mapping[int, KinkPath], number: int | None, t: float) -> float:
     """Where a kink is at time t, or the one that it has merged into; NaN before it was seen and when it was lost."""
-    if number is None or number not in paths:
-        return np.nan
-    path = paths[number]
-    if path.time[0] <= t <= path.time[-1]:
-        return float(np.interp(t, path.time, path.x))
-    if t < path.time[0]:
-        return np.nan
-    return float(path.x[-1]) if path.leaves else place(paths, path.into, t)
+    for _ in paths:  # links of a chain of mergers at most
+        if number is None or number not in paths or t < paths[number].time[0]:
+            break
+        path = paths[number]
+        if t <= path.time[-1]:
+            return float(np.interp(t, path.time, path.x))
+        if path.leaves:
+            return float(path.x[-1])
+        number = path.into
+    return np.nan
 
 
 def traceable_law(run: Run) -> ErosionLaw | None:
@@ -71,18 +73,18 @@ def traceable_law(run: Run) -> ErosionLaw | None:
     Below a rolling layer they do not: waves of the layer move too. Nor is a law read that is a Python file, which is
     not with the result, and running which would run its author's code.
     """
-    table = run.case["erosion"]
-    return None if "layer" in run.case or table["law"] == "python" else law_from(table)
+    table = run.case.get("erosion", {})
+    return None if "layer" in run.case or table.get("law") == "python" else law_from(table)
 
 
 def trace_back(run: Run, law: ErosionLaw, ends: Sequence[tuple[int, float]]) -> Array:
     """Characteristics that are at x at the saved time number i, for each (i, x) of `ends`, followed back to the first.
 
     Returns their places at the saved times, shape (times, ends), NaN after time i and, of those that came from left of
-    the grid, before the first place there. A step from one saved time to the
-    one before is the trapezoidal rule, x(t₁) - x(t₀) = ½ (t₁ - t₀) (λ₀(x(t₀)) + λ₁(x(t₁))), λ = K f'(q), solved
-    between the kinks that surround it: second order in the time between saved times, and exact where λ does not change
-    along it, as in a fan at a constant K; first order in Δx within a few cells of a kink.
+    the grid, before the first place there. A step from one saved time to the one before is the trapezoidal rule,
+    x(t₁) - x(t₀) = ½ (t₁ - t₀) (λ₀(x(t₀)) + λ₁(x(t₁))) with λ = K f'(q), solved between the kinks that surround it:
+    second order in the time between saved times, and exact where λ does not change along it, as in a fan at a constant
+    K; first order in Δx within a few cells of a kink.
     """
     K = 0.5 * (run.K[:, 1:] + run.K[:, :-1])
     speed = K * law.derivative(run.q)
