@@ -21,10 +21,12 @@ import sys
 from pathlib import Path
 
 import pytest
+from cyclopts import MissingArgumentError
 from matplotlib.figure import Figure
 
 import hjprofile as hj
 from hjprofile.cli import main
+from hjprofile.cli.common import app
 from hjprofile.output import workers
 
 ROOT = Path(__file__).parent.parent
@@ -131,6 +133,21 @@ def test_pages_print_what_they_show(page, tmp_path, monkeypatch):
         monkeypatch.setattr(workers, begins_processes, lambda wanted: contextlib.nullcontext())
     monkeypatch.setattr(Figure, "savefig", lambda *_, **__: None)
     work_through(page)
+
+
+def test_commands_within_sentences_are_commands():
+    """`hjprofile run hillslope --cells 400` in the midst of a line names no command or option that is not there."""
+    within = re.compile(r"`hjprofile ([a-z][^`\[]+)`")
+    said = {
+        " ".join(command.split())
+        for page in PAGES
+        for kind, text in parts(page) if kind == "prose"
+        for command in within.findall(text)
+    }  # fmt: skip
+    assert len(said) > 20
+    for command in said:
+        with contextlib.suppress(MissingArgumentError):  # only the command is named, or it and an option
+            app.parse_args(shlex.split(command), exit_on_error=False, print_error=False)
 
 
 @pytest.mark.parametrize(
