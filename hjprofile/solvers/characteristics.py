@@ -21,6 +21,7 @@ from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels import characteristics as kernels
+from hjprofile.solvers.kernels.dormand_prince import tableau
 from hjprofile.solvers.kernels.labels import after_start, before_end
 from hjprofile.solvers.kernels.law import LawTable, law_q_f
 from hjprofile.solvers.label_events import (
@@ -111,8 +112,6 @@ class _Solver:
 
     def _try(self, h: float) -> tuple[Panels, float]:
         """The panels after a step h of the clock, and the error of the step as a part of the tolerance."""
-        from scipy.integrate import DOP853  # half a second of imports, which runs on a grid do without
-
         now, panels = self.now, self.now.panels
         self.patience -= TRY + LABEL * panels.r.size
         if self.patience < 0.0:
@@ -120,8 +119,8 @@ class _Solver:
         off, off_top, tau = panels.off.copy(), panels.off_top.copy(), panels.tau.copy()
         new = np.empty(2 * panels.r.size + 2)
         error, found = kernels.step(
-            panels.y, now.clock(now.t), h, now.origin, DOP853.A, DOP853.B, DOP853.E3, DOP853.E5, panels.mesh, RULE,
-            self.table, off, off_top, panels.birth, panels.power, tau, self.S, self.c, self.k, new,
+            panels.y, now.clock(now.t), h, now.origin, tableau(), panels.mesh, RULE, self.table,
+            off, off_top, panels.birth, panels.power, tau, self.S, self.c, self.k, new,
         )  # fmt: skip
         self.found = found
         return panels.at(new, off, off_top, tau), error / self.tolerance
@@ -151,7 +150,7 @@ class _Solver:
             crossed = [e for e, value in signs(panels, self.threshold).items() if value < 0.0]
             if crossed:
                 h, panels, event, error = self._first_event(crossed, h, panels)
-                if error > 1.0:  # the estimate of the longer step was small by chance
+                if not error <= 1.0:  # the estimate of the longer step was small by chance
                     self.h, h = 0.0, 0.5 * h
                     continue
                 reached = False

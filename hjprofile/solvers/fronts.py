@@ -22,6 +22,7 @@ from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Kinks
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels import fronts as kernels
+from hjprofile.solvers.kernels.dormand_prince import tableau
 from hjprofile.solvers.kernels.exact_fronts import advance_exactly
 from hjprofile.solvers.kernels.law import LawTable, law_q_f, start_pieces
 from hjprofile.solvers.kernels.steps import StepLaw
@@ -192,11 +193,8 @@ class _Tracker:
         """To the time `end`, if steps are not too small for that; merges, births and exits are noted."""
         arrays = self.x, self.jump, self.label, self.since, self.smooth
         if self.exact:
-            from scipy.integrate import DOP853
-
             self.n, logged = advance_exactly(
-                *arrays, self.n, self.t, end, self.data.r0, self.table,
-                DOP853.A, DOP853.B, DOP853.E3, DOP853.E5, TOLERANCE,
+                *arrays, self.n, self.t, end, self.data.r0, self.table, tableau(), TOLERANCE,
                 self.strong, self.work, self.head, self.log, self.totals,
             )  # fmt: skip
         else:
