@@ -15,7 +15,7 @@ import numpy as np
 
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
-from hjprofile.solvers.factor import Factor, factor_of
+from hjprofile.solvers.factor import Factor
 from hjprofile.solvers.grid_law import GridLaw, grid_law
 from hjprofile.solvers.high_order import HighOrder
 from hjprofile.solvers.kernels import grid as kernels
@@ -312,7 +312,7 @@ def scheme(
     W = problem.profile.W(grid.nodes, problem.law)
     q = np.diff(W) / grid.dx
     data = (grid_law(problem.law, q), grid, q, float(W[0]), problem.profile.inflow)
-    factor = factor_of(problem, grid, refresh)
+    factor = Factor(grid, problem.coefficient, refresh)
     if problem.thickness:
         return WithLayer(*data, problem.thickness)
     if method in HIGH_ORDER:

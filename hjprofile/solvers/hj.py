@@ -13,7 +13,7 @@ import numpy as np
 
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
-from hjprofile.solvers.factor import Factor, factor_of
+from hjprofile.solvers.factor import Factor
 from hjprofile.solvers.grid_law import GridLaw, grid_law
 from hjprofile.solvers.high_order import ORDERS, HighOrder
 from hjprofile.solvers.kernels import grid as kernels
@@ -105,7 +105,7 @@ def scheme(
 ) -> HamiltonJacobi | HighOrderHamiltonJacobi:
     """The scheme of that name (a key of FLUXES or ORDERS), set up with the problem's profile."""
     W = problem.profile.W(grid.nodes, problem.law)
-    law, factor = grid_law(problem.law, np.diff(W) / grid.dx), factor_of(problem, grid, refresh)
+    law, factor = grid_law(problem.law, np.diff(W) / grid.dx), Factor(grid, problem.coefficient, refresh)
     if method in ORDERS:
         return HighOrderHamiltonJacobi(law, grid, W, method, problem.profile.inflow, factor)
     return HamiltonJacobi(law, grid, W, FLUXES[method], problem.profile.inflow, factor)

@@ -30,7 +30,6 @@ from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import TAIL
 from hjprofile.solvers import conservation, hj
 from hjprofile.solvers.characteristics import COARSEST, FINEST, TOLERANCE, solve_characteristics
-from hjprofile.solvers.factor import check_refresh
 from hjprofile.solvers.fronts import track_fronts
 from hjprofile.solvers.high_order import ORDERS
 from hjprofile.solvers.march import Scheme, march
@@ -117,7 +116,6 @@ def check_method(case: Case) -> None:
         most = COARSEST if case.method == "characteristics" else 1.0
         if case.tolerance is not None and not FINEST <= case.tolerance <= most:
             raise InputError(f"tolerance = {case.tolerance:g} must lie between {FINEST:g} and {most:g}")
-        check_refresh(case.problem, case.refresh)
         if case.tolerance is None and case.method == "auto":
             raise InputError("method = 'auto' needs a tolerance")
         case.problem.check_method(case.method, case.refresh)
