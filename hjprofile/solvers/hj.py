@@ -18,7 +18,7 @@ from hjprofile.solvers.grid_law import GridLaw, grid_law
 from hjprofile.solvers.high_order import ORDERS, HighOrder
 from hjprofile.solvers.kernels import grid as kernels
 from hjprofile.solvers.kernels import wavefront
-from hjprofile.solvers.march import BESIDE, NEGLIGIBLE
+from hjprofile.solvers.march import BESIDE
 from hjprofile.solvers.run import Array
 
 Flux = wavefront.LocalLaxFriedrichs | wavefront.LaxFriedrichs | wavefront.Godunov | wavefront.Telescoping
@@ -48,7 +48,7 @@ class HamiltonJacobi:
         self.q, self.K = np.empty(grid.cells), np.ones(grid.cells + 1)
         self.growth = self.outflow = 0.0
         # the first and the last node where W is not what it is at that end
-        self.active = kernels.flat_ends(self.W, 0, grid.cells, W[0], W[-1], NEGLIGIBLE)
+        self.active = kernels.flat_ends(self.W, 0, grid.cells, W[0], W[-1])
 
     def evaluate(self) -> float:
         np.divide(np.diff(self.W), self.grid.dx, out=self.q)
@@ -71,7 +71,7 @@ class HamiltonJacobi:
         speed, grown = wavefront.hj_pass(W, self.grid.dx, dt, steps, inflow, self.law.kernel, self.flux(bound), factor)
         self.growth += grown
         self.outflow += float(self.before[b] - W[-1])
-        self.active = kernels.flat_ends(self.W, a, b, self.W[0], self.W[-1], NEGLIGIBLE)
+        self.active = kernels.flat_ends(self.W, a, b, self.W[0], self.W[-1])
         return max(float(speed), idle)
 
     def restore(self) -> None:
@@ -91,7 +91,7 @@ class HighOrderHamiltonJacobi(HighOrder):
         return self.state
 
     def _flat_ends(self, first: int, last: int) -> tuple[int, int]:
-        return kernels.flat_ends(self.state, first, last, self.state[0], self.state[-1], NEGLIGIBLE)
+        return kernels.flat_ends(self.state, first, last, self.state[0], self.state[-1])
 
     def _means(self, state: Array) -> Array:
         return np.diff(state) / self.grid.dx
