@@ -1,4 +1,4 @@
-"""Solutions known exactly: flat and steady slopes, and one kink that travels into such a profile (theory, §6).
+"""Solutions known exactly: steady slopes, and one kink that travels into a critical or a steady one (theory, §6).
 
 All are a moving cut: at every time the solution is a profile of `problem.profiles` with its kink at s(t).
 """
@@ -152,11 +152,8 @@ def _volume(form: ClosedForm, t: float, grid: Grid) -> float:
     return float(0.5 * np.diff(edges) @ (W @ weights)) + flat * float(edges[0] - grid.left)
 
 
-def flat_slope(law: ErosionLaw) -> ClosedForm:
-    """§6d: q = 0, which nothing erodes."""
-    return ClosedForm(
-        law, lambda t: np.nan, lambda s: Kinks(np.zeros(1), np.ones(1)), lambda s, x: np.ones_like(x), 0.0
-    )
+def _one_kink(amplitude: float) -> Callable[[float], Profile]:
+    return lambda s: Kinks(np.array([s]), np.array([amplitude]))
 
 
 def steady_slope(law: ErosionLaw, flux: float) -> ClosedForm:
@@ -166,9 +163,7 @@ def steady_slope(law: ErosionLaw, flux: float) -> ClosedForm:
 
 def travelling_kink(law: ErosionLaw, amplitude: float, start: float) -> ClosedForm:
     """§6a-b: q = Q(x - s(t)) right of s, Q(0) = amplitude, R'(Q) Q' = -Q; s' = 1/R(Q(-s))."""
-
-    def at(s: float) -> Profile:
-        return Kinks(np.array([s]), np.array([amplitude]))
+    at = _one_kink(amplitude)
 
     def factor(s: float, x: Array) -> Array:
         return law.R(law.decay(amplitude, x - s)) / law.R(law.decay(amplitude, -s))
@@ -194,9 +189,7 @@ def travelling_kink(law: ErosionLaw, amplitude: float, start: float) -> ClosedFo
 
 def travelling_wave(law: ErosionLaw, amplitude: float, start: float) -> ClosedForm:
     """§13: the kink of §6b on the whole line moves with the constant speed f'(0), whatever its amplitude; K(∞) = 1."""
-
-    def at(s: float) -> Profile:
-        return Kinks(np.array([s]), np.array([amplitude]))
+    at = _one_kink(amplitude)
 
     def factor(s: float, x: Array) -> Array:
         return law.R(law.decay(amplitude, x - s)) / law.R(0.0)
