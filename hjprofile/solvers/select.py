@@ -19,8 +19,9 @@ from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Kinks
 from hjprofile.solvers import closed_forms
 from hjprofile.solvers.characteristics import FINEST, READ, TOO_LONG, solve_characteristics
-from hjprofile.solvers.fronts import REACH, track_fronts
+from hjprofile.solvers.fronts import track_fronts
 from hjprofile.solvers.run import Array, Run
+from hjprofile.solvers.vertical_steps import REACH
 from hjprofile.solvers.whole_line import also_on_the_whole_line
 
 Progress = Callable[[float], None]
