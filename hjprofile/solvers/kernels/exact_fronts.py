@@ -81,6 +81,37 @@ def first_crossing(y, new, rates, dt, n):
 
 
 @compiled
+def first_event(y, rates, dt, jump, n, r0, law, tableau, work, new):
+    """From `new`, a step beyond an event, back to the first one: how long a step that takes, and which pair has met.
+
+    By Illinois' rule of false position on the fraction of the step.
+    """
+    low, high, side = 0.0, 1.0, 0
+    g_low, g_high = least_gap(y, y, n)[0], least_gap(new, y, n)[0]
+    theta, used, met = first_crossing(y, new, rates, dt, n), dt, -1
+    for _ in range(60):
+        used = theta * dt
+        step(y, rates, used, jump, n, r0, law, tableau, work, new)
+        gap, met = least_gap(new, y, n)
+        if abs(gap) <= 2e-15 * max(1.0, abs(new[met])) or high - low <= 2e-16:
+            break
+        if gap > 0.0:
+            low, g_low = theta, gap
+            if side == 1:
+                g_high *= 0.5
+            side = 1
+        else:
+            high, g_high = theta, gap
+            if side == -1:
+                g_low *= 0.5
+            side = -1
+        theta = low + (high - low) * g_low / (g_low - g_high)
+    if met == n - 1:
+        new[n - 1] = 0.0
+    return used, met
+
+
+@compiled
 def advance_exactly(
     x, jump, label, since, smooth, n, t, end, r0, law, tableau, tolerance, strong, work, head, log, totals
 ):
@@ -129,29 +160,8 @@ def advance_exactly(
             else:
                 break
         used = dt
-        if least_gap(new, y, n)[0] < 0.0:  # Illinois' rule of false position on the fraction of the step
-            low, high, side = 0.0, 1.0, 0
-            g_low, g_high = least_gap(y, y, n)[0], least_gap(new, y, n)[0]
-            theta = first_crossing(y, new, rates, dt, n)
-            for _ in range(60):
-                used = theta * dt
-                step(y, rates, used, jump, n, r0, law, tableau, work, new)
-                gap, met = least_gap(new, y, n)
-                if abs(gap) <= 2e-15 * max(1.0, abs(new[met])) or high - low <= 2e-16:
-                    break
-                if gap > 0.0:
-                    low, g_low = theta, gap
-                    if side == 1:
-                        g_high *= 0.5
-                    side = 1
-                else:
-                    high, g_high = theta, gap
-                    if side == -1:
-                        g_low *= 0.5
-                    side = -1
-                theta = low + (high - low) * g_low / (g_low - g_high)
-            if met == n - 1:
-                new[n - 1] = 0.0
+        if least_gap(new, y, n)[0] < 0.0:
+            used, met = first_event(y, rates, dt, jump, n, r0, law, tableau, work, new)
         stalled = stalled + 1 if used < 1e-13 * end else 0
         if stalled > IDLE:
             jump[0] = math.nan
