@@ -44,24 +44,20 @@ class Linear(Tabulated):
     """The same table, of a law of linear growth: f Δx is not small where the profile jumps (theory, §14)."""
 
 
-@intrinsic
-def _bits(typing_context, number):
-    """The bits of a double as an integer."""
+def _same_bits(given, wanted):
+    """The function from one type to another that leaves the bits as they are."""
 
-    def generate(context, builder, signature, arguments):
-        return builder.bitcast(arguments[0], context.get_value_type(types.int64))
+    @intrinsic
+    def cast(typing_context, value):
+        def generate(context, builder, signature, arguments):
+            return builder.bitcast(arguments[0], context.get_value_type(wanted))
 
-    return types.int64(types.float64), generate
+        return wanted(given), generate
+
+    return cast
 
 
-@intrinsic
-def _double(typing_context, bits):
-    """The double with these bits."""
-
-    def generate(context, builder, signature, arguments):
-        return builder.bitcast(arguments[0], context.get_value_type(types.float64))
-
-    return types.float64(types.int64), generate
+_bits, _double = _same_bits(types.float64, types.int64), _same_bits(types.int64, types.float64)
 
 
 @vectorised
