@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -338,12 +337,10 @@ def solve_characteristics(
     """
     if not FINEST <= tolerance <= COARSEST:
         raise InputError(f"tolerance = {tolerance:g} must lie between {FINEST:g} and {COARSEST:g}")
-    profile = problem.profile
-    if profile.inflow:
+    if problem.profile.inflow:
         raise InputError("characteristics need q = 0 at the left end; this profile has a flux that enters there")
     grid = grid or problem.grid()
     problem.check(grid, "characteristics")
-    height = float(profile.W(grid.nodes[:1], problem.law)[0])
     try:
         panels = cut_into_panels(problem, grid.left)
     except RunError as error:
@@ -351,56 +348,26 @@ def solve_characteristics(
     table = _table(problem, panels)
     steps = min(tolerance, STEPS)
     first = _Solver(problem, panels, table, min(COARSER * steps, COARSE_STEPS), patience)
-    coarse = _march(first, problem, grid)
-    fine = _march(_Solver(problem, panels, table, steps, first.patience), problem, grid, progress)
-    if not len(fine.W):
+    coarse, W_coarse = _march(first, problem, grid)
+    fine, W = _march(_Solver(problem, panels, table, steps, first.patience), problem, grid, progress)
+    if not len(W):
         raise RunError(fine.status)
-    both = min(len(coarse.W), len(fine.W))
-    apart = float(np.abs(coarse.W[:both] - fine.W[:both]).max()) if both == len(fine.W) else COARSER * tolerance
-    return Run(
-        title=problem.title,
-        method="characteristics",
+    apart = float(np.abs(W_coarse[: len(W)] - W).max()) if len(W) <= len(W_coarse) else COARSER * tolerance
+    rounding = 10.0 * ROUNDING * (1.0 + float(np.abs(W).max()))
+    return replace(
+        fine,
         case=resolved_case(problem, grid, "characteristics", tolerance=tolerance),
-        time=problem.times[: len(fine.W)],
-        x=grid.nodes,
-        x_cell=grid.centres,
-        u=grid.nodes + fine.W + height,
-        q=np.diff(fine.W, axis=1) / grid.dx,
-        K=fine.K,
-        status=fine.status,
-        steps=fine.steps,
-        wall_seconds=fine.seconds + coarse.seconds,
-        kinks=fine.kinks,
-        events=fine.events,
-        bounds=fine.watch.bounds,
-        eroded_volume=fine.watch.eroded_volume,
-        outflow=fine.outflow,
-        volume_budget_error=fine.watch.budget_error,
-        error_estimate=max(2.0 * apart, 10.0 * fine.watch.budget_error)
-        + 10.0 * ROUNDING * (1.0 + float(np.abs(fine.W).max())),
-        units=profile.units,
-        account=profile.account,
+        wall_seconds=fine.wall_seconds + coarse.wall_seconds,
+        error_estimate=max(2.0 * apart, 10.0 * fine.volume_budget_error) + rounding,
     )
 
 
-class _Outcome(NamedTuple):
-    """What one run over all saved times leaves."""
-
-    W: Array
-    K: Array
-    kinks: list[KinkRecord]
-    events: list[Event]
-    watch: SnapshotBounds
-    outflow: float
-    steps: int
-    seconds: float
-    status: str
-
-
-def _march(solver: _Solver, problem: Problem, grid: Grid, progress: Callable[[float], None] | None = None) -> _Outcome:
-    """Through all saved times, or as far as the method gets."""
-    start = solver.now.panels
-    mass = float(problem.profile.W(np.zeros(1), problem.law)[0] - problem.profile.W(start.X[:1, 0], problem.law)[0])
+def _march(
+    solver: _Solver, problem: Problem, grid: Grid, progress: Callable[[float], None] | None = None
+) -> tuple[Run, Array]:
+    """Through all saved times, or as far as the method gets; and W from the left end on, with less rounding than u."""
+    start, profile = solver.now.panels, problem.profile
+    mass = float(profile.W(np.zeros(1), problem.law)[0] - profile.W(start.X[:1, 0], problem.law)[0])
     volume = start.volume()
     # a step may add its tolerance, a panel its own, and the grid reads u to rounding
     room = BUDGET * (solver.tolerance + ROUNDING) * (1.0 + abs(volume) + float(np.ptp(start.mesh.I)))
@@ -429,9 +396,30 @@ def _march(solver: _Solver, problem: Problem, grid: Grid, progress: Callable[[fl
             kinks += solver.kinks()
         if progress:
             progress(target / problem.end if problem.end else 1.0)
-    W, K = (np.array([row[i] for row in rows]) for i in (0, 1))
-    outflow = float(solver.now.panels.totals[1])
-    return _Outcome(W, K, kinks, solver.events, watch, outflow, solver.steps, seconds, status)
+    W, K = (np.array([row[i] for row in rows]).reshape(-1, grid.cells + 1) for i in (0, 1))
+    run = Run(
+        title=problem.title,
+        method="characteristics",
+        case=resolved_case(problem, grid, "characteristics"),
+        time=kept[: len(W)],
+        x=grid.nodes,
+        x_cell=grid.centres,
+        u=grid.nodes + W + float(profile.W(grid.nodes[:1], problem.law)[0]),
+        q=np.diff(W, axis=1) / grid.dx,
+        K=K,
+        status=status,
+        steps=solver.steps,
+        wall_seconds=seconds,
+        kinks=kinks,
+        events=solver.events,
+        bounds=watch.bounds,
+        eroded_volume=watch.eroded_volume,
+        outflow=float(solver.now.panels.totals[1]),
+        volume_budget_error=watch.budget_error,
+        units=profile.units,
+        account=profile.account,
+    )
+    return run, W
 
 
 @np.errstate(over="ignore")  # R is 0 where f overflows, far from the r that is looked for
