@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hjprofile.errors import InputError, RunError
-from hjprofile.monitors.snapshot_bounds import SnapshotBounds
+from hjprofile.monitors.snapshot_bounds import BOUNDS, SnapshotBounds
 from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid
@@ -371,9 +371,8 @@ def _march(
     volume = start.volume()
     # a step may add its tolerance, a panel its own, and the grid reads u to rounding
     room = BUDGET * (solver.tolerance + ROUNDING) * (1.0 + abs(volume) + float(np.ptp(start.mesh.I)))
-    names = ("mass_budget", "volume_budget", "minimum_principle", "l1_decay")
     read = room + 4.0 * ROUNDING / grid.dx
-    allowed = {n: (room if n == "volume_budget" else read, "the tolerance") for n in names}
+    allowed = {n: (room if n == "volume_budget" else read, "the tolerance") for n in BOUNDS}
     # the least r lies a little below the least found on so many points, by less than that below the least on few
     few, many = float(start.r.min()), float((start.r @ interpolation(FINE).T).min())
     watch = SnapshotBounds(grid, mass, volume, allowed, law_q_f(max(2.0 * many - few, 0.5 * many), solver.table)[0])

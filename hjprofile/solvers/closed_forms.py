@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from hjprofile.monitors.snapshot_bounds import SnapshotBounds
+from hjprofile.monitors.snapshot_bounds import BOUNDS, SnapshotBounds
 from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.erosion import ErosionLaw
@@ -111,15 +111,13 @@ def evaluate(form: ClosedForm, problem: Problem, grid: Grid) -> Run:
             after = float(form.at(s).breaks(law)[0, 2])
             speed = float(form.K(t, np.array([s]))[0] * law.f(after) / after)
             kinks.append(KinkRecord(t, 1, s, 0.0, after, after, speed, speed))
-    left, scale = grid.nodes[:1], 1.0 + float(np.abs(u - grid.nodes).max())
-    eroded, outflow = form.eroded(end, float(left[0])), float(form.u(0.0, grid.nodes)[-1] - form.u(end, grid.nodes)[-1])
-    allowed = 100.0 * ROUNDING * scale, "rounding"
-    names = ("mass_budget", "volume_budget", "minimum_principle", "l1_decay")
-    watch = SnapshotBounds(
-        grid, float(form.u(0.0, grid.nodes)[-1]), _volume(form, 0.0, grid), dict.fromkeys(names, allowed)
-    )
-    watch.observe(0.0, form.u(0.0, grid.nodes) - grid.nodes, _volume(form, 0.0, grid), 0.0, 0.0)
-    watch.observe(end, form.u(end, grid.nodes) - grid.nodes, _volume(form, end, grid), eroded, outflow)
+    first, last = form.u(0.0, grid.nodes), form.u(end, grid.nodes)
+    outflow, volume = float(first[-1] - last[-1]), _volume(form, 0.0, grid)
+    scale = 1.0 + float(np.abs(u - grid.nodes).max())
+    allowed = dict.fromkeys(BOUNDS, (100.0 * ROUNDING * scale, "rounding"))
+    watch = SnapshotBounds(grid, float(first[-1]), volume, allowed)
+    watch.observe(0.0, first - grid.nodes, volume, 0.0, 0.0)
+    watch.observe(end, last - grid.nodes, _volume(form, end, grid), form.eroded(end, float(grid.nodes[0])), outflow)
     return Run(
         title=problem.title,
         method="closed form",

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hjprofile.errors import InputError, RunError
-from hjprofile.monitors.snapshot_bounds import SnapshotBounds
+from hjprofile.monitors.snapshot_bounds import BOUNDS, SnapshotBounds
 from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.erosion import ErosionLaw
@@ -268,15 +268,12 @@ def track_fronts(
     steps: list[VerticalStep] = []
     scale = 1.0 + float(np.abs(data.jump).sum())
     read = ROUNDING * scale
-    second = "second order in the spacing of fronts"
-    allowed = dict.fromkeys(("mass_budget", "volume_budget", "minimum_principle", "l1_decay"), (read, "rounding"))
+    allowed = dict.fromkeys(BOUNDS, (read, "rounding"))
     if not data.kinks_only:
-        allowed = dict.fromkeys(allowed, (read + ROUGH * data.spacing**2 * scale, second))
+        second = read + ROUGH * data.spacing**2 * scale
+        allowed = dict.fromkeys(BOUNDS, (second, "second order in the spacing of fronts"))
         # F(0) is a sawtooth while small fronts leave, and its integral over a step first order
-        allowed["mass_budget"] = (
-            allowed["mass_budget"][0] + data.spacing * scale,
-            "first order in the spacing of fronts",
-        )
+        allowed["mass_budget"] = second + data.spacing * scale, "first order in the spacing of fronts"
     if tracker.exact:
         allowed |= dict.fromkeys(("mass_budget", "volume_budget"), (read, "rounding"))
     watch = SnapshotBounds(grid, data.top, tracker.volume(), allowed)
