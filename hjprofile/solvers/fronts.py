@@ -79,18 +79,7 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts,
     if isinstance(profile, Kinks):
         cuts = breaks[:, 0]
     else:
-        marks = np.unique(np.concatenate([[start], breaks[breaks[:, 0] > start, 0], [0.0]]))
-        pieces = np.maximum(np.ceil(np.diff(marks) / spacing - 1e-9).astype(int), 1)
-        cuts = _subdivide(marks, pieces)
-        W = profile.W(cuts, law)
-        # K changes e-fold over a length 1/|f|, which is short where the slope is gentle
-        folds = np.diff(cuts) * np.abs(law.f(np.diff(W) / np.diff(cuts)))
-        if not folds.sum() < FOLDS:
-            raise RunError(
-                f"front tracking cannot start: ln K changes by {folds.sum():.3g} along the slope, as q is too near -1 "
-                f"over too long a way, and {FOLDS:g} is the most it can follow; use the method godunov"
-            )
-        cuts = _subdivide(cuts, np.maximum(np.ceil(2.0 * folds).astype(int), 1))[:-1]
+        cuts = _cuts(problem, np.unique([start, *breaks[breaks[:, 0] > start, 0], 0.0]), spacing)
     ends = np.append(cuts, 0.0)
     W = profile.W(ends, law)
     W -= W[0]
@@ -127,15 +116,27 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts,
             steps = np.diff(np.concatenate([[before], level, [I[k]]]))
             flags = np.append(np.ones(n), smooth[k])
             columns.append(np.array([np.full(n + 1, x), steps, np.zeros(n + 1), flags]))
-        elif x in upward:
-            number += 1
-            columns.append(np.array([[x], [jump[k]], [number], [smooth[k]]]))
-        elif abs(jump[k]) > 1e-15:
-            columns.append(np.array([[x], [jump[k]], [0], [smooth[k]]]))
+        elif x in upward or abs(jump[k]) > 1e-15:
+            number += x in upward
+            columns.append(np.array([[x], [jump[k]], [number if x in upward else 0], [smooth[k]]]))
         elif columns:
             columns[-1][3, -1] = max(columns[-1][3, -1], smooth[k])
     x, jumps, label, flag = np.concatenate(columns, axis=1) if columns else np.empty((4, 0))
     return Fronts(x, jumps, label.astype(np.int64), flag.astype(bool), spacing, r0, float(W[-1])), table
+
+
+def _cuts(problem: Problem, marks: Array, spacing: float) -> Array:
+    """Where pieces begin: at all marks but the last, and in between as often as spacing and K ask for."""
+    law = problem.law
+    cuts = _subdivide(marks, np.maximum(np.ceil(np.diff(marks) / spacing - 1e-9).astype(int), 1))
+    # K changes e-fold over a length 1/|f|, which is short where the slope is gentle
+    folds = np.diff(cuts) * np.abs(law.f(np.diff(problem.profile.W(cuts, law)) / np.diff(cuts)))
+    if not folds.sum() < FOLDS:
+        raise RunError(
+            f"front tracking cannot start: ln K changes by {folds.sum():.3g} along the slope, as q is too near -1 "
+            f"over too long a way, and {FOLDS:g} is the most it can follow; use the method godunov"
+        )
+    return _subdivide(cuts, np.maximum(np.ceil(2.0 * folds).astype(int), 1))[:-1]
 
 
 def _subdivide(marks: Array, pieces: Array) -> Array:
