@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from hjprofile.evidence.calibration import Calibration as Calibration
     from hjprofile.evidence.calibration import fit as fit
     from hjprofile.evidence.chart import chart as chart
+    from hjprofile.evidence.consistency import Consistency as Consistency
+    from hjprofile.evidence.consistency import check as check
     from hjprofile.evidence.consistency import check_consistency as check_consistency
     from hjprofile.evidence.slow_erosion import slow_erosion as slow_erosion
     from hjprofile.output.store import load_run as load_run
@@ -57,7 +59,7 @@ _MODULES = {
     "evidence.accuracy": ("Comparison", "compare", "observed_order"),
     "evidence.calibration": ("Calibration", "fit"),
     "evidence.chart": ("chart",),
-    "evidence.consistency": ("check_consistency",),
+    "evidence.consistency": ("Consistency", "check", "check_consistency"),
     "evidence.slow_erosion": ("slow_erosion",),
     "output.store": ("load_run", "write_run"),
     "output.sweep": ("sweep",),

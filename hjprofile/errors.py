@@ -1,9 +1,42 @@
-"""The two ways in which a user is told that something cannot be done."""
+"""The two ways in which a user is told that something cannot be done, and where the documentation says more of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+PAGE = "docs/errors.md"  # every sentence that the library refuses or stops with is there; a test says so
 
 
 class InputError(ValueError):
-    """Bad input: one sentence that names the file, the key, the value and what is allowed (exit code 2)."""
+    """Bad input: one sentence that names the file, the key, the value and what is allowed (exit code 2).
+
+    `about` is the heading of PAGE, as in "a-survey", under which there is more of it; "" where only the command knows.
+    """
+
+    def __init__(self, sentence: str, about: str = ""):
+        super().__init__(sentence)
+        self.about = about
 
 
 class RunError(RuntimeError):
-    """A run or a check that failed: one sentence that says when, where, why and what to try (exit code 1)."""
+    """A run or a check that failed: one sentence that says when, where, why and what to try (exit code 1).
+
+    `about` as for an InputError.
+    """
+
+    def __init__(self, sentence: str, about: str = ""):
+        super().__init__(sentence)
+        self.about = about
+
+
+def did_you_mean(word: str, choices: Iterable[str] | Mapping[str, str]) -> str:
+    """`; did you mean 'x'?` with the nearest of the choices, or what stands for it, or "" where none is near.
+
+    Upper and lower case are alike.
+    """
+    import difflib
+
+    written = choices if isinstance(choices, Mapping) else {choice: choice for choice in choices}
+    lower = {choice.lower(): shown for choice, shown in written.items()}
+    close = difflib.get_close_matches(word.lower(), lower, 1)
+    return f"; did you mean {lower[close[0]]!r}?" if close else ""

@@ -129,6 +129,47 @@ for _section, _first in (("erosion", "law"), ("profile", "kind"), ("domain", "ce
     BAD[f"no {_section}"] = ({_section: REMOVED}, _section, [f"{_first} is missing"])
 BAD |= {
     "title": ({"title": 3}, "", ["title = 3 must be a string"]),
+    "a law near another": ({"erosion.law": "Ratinal"}, "erosion", ["did you mean 'rational'? allowed are 'rational',"]),
+    "a kind near another": (
+        {"profile.kind": "kink"},
+        "profile",
+        ["did you mean 'kinks'? allowed are 'kinks',"],
+    ),
+    "a number in quotes": ({"time.end": "1.5"}, "time", ["end = '1.5' must be a finite number (without quotes)"]),
+    "no law": ({"erosion": {"expression": "q"}}, "erosion", ["it must be a string, one of 'rational', 'log'"]),
+    "wrong sign": (
+        {"erosion": {"law": "expression", "expression": "-q/(1+q)"}},
+        "erosion",
+        ["f' > 0 fails at q = ", "its sign is wrong, f must be positive where q > 0"],
+    ),
+    "convex": (
+        {"erosion": {"law": "expression", "expression": "exp(q) - 1"}},
+        "erosion",
+        ["f'' < 0 fails at q = 0; f must be concave"],
+    ),
+    "not 0 at 0": (
+        {"erosion": {"law": "expression", "expression": "q/(1+q) + 0.1"}},
+        "erosion",
+        ["f(0) = 0 fails at q = 0, where f = 0.1; at the critical slope nothing erodes or settles"],
+    ),
+    "a power of another language": (
+        {"erosion": {"law": "expression", "expression": "q^2"}},
+        "erosion",
+        ["contains '^' (a power is written **); allowed are"],
+    ),
+    "a large letter": (
+        {"erosion": {"law": "expression", "expression": "Q/(1+Q)"}},
+        "erosion",
+        ["contains 'Q'; did you mean 'q'? allowed are"],
+    ),
+    "two scenes at once": (
+        {
+            "erosion": {"law": "expression", "expression": "q + q/(1+q)", "growth": "linear"},
+            "coefficient": {"kind": "expression", "expression": "exp(x)"},
+        },
+        "coefficient",
+        ["a coefficient and a law with growth = 'linear' do not go together"],
+    ),
     "unknown section": (
         {"erosoin": {}},
         "",
@@ -285,6 +326,11 @@ BAD |= {
         "profile",
         ["absent.csv"],
     ),
+    "a survey near another": (
+        {"profile": {"kind": "survey"} | PROFILES["survey"] | {"file": "survy.csv"}},
+        "profile",
+        ["survy.csv' does not exist, or is not a file; did you mean 'survey.csv'?"],
+    ),
     "survey is a folder": (
         {"profile": {"kind": "survey"} | PROFILES["survey"] | {"file": "."}},
         "profile",
@@ -325,6 +371,11 @@ NOT_TOML = {  # id -> (bytes of the file, words)
     "not TOML": (b"[erosion\nlaw = 'rational'\n", ["not valid TOML", "line 1"]),
     "repeated key": (b"title = 'a'\ntitle = 'b'\n", ["not valid TOML"]),
     "not UTF-8": (b"title = '\xff'\n", ["cannot be read", "utf-8"]),
+    "text without quotes": (
+        b"[erosion]\nlaw = rational\n",
+        ["not valid TOML", "which reads 'law = rational'"],
+    ),
+    "UTF-16": ("title = 'a'\n".encode("utf-16"), ["cannot be read: it is not text in UTF-8", "save it as UTF-8"]),
     "NUL": (b"title = 'a\0'\n", ["not valid TOML"]),
     "nested": (b"title = " + b"[" * 20_000, ["not valid TOML"]),
     "thousands of digits": (b"title = " + b"9" * 5000, ["not valid TOML"]),

@@ -31,7 +31,7 @@ def name_of(path):
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-MODULES = {name_of(path): path for path in sorted(HOME.rglob("*.py"))}
+MODULES = {name_of(path): path for path in sorted(HOME.rglob("*.py")) if path.parent.name != "cases"}
 
 
 @lru_cache

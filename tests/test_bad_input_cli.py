@@ -13,6 +13,7 @@ import pytest
 import tomli_w
 from bad_cases import BAD, FILES, NOT_TOML, VALID, changed, with_files
 from scipy.io import netcdf_file
+from test_errors_page import anchors
 
 from hjprofile.cli import main
 from hjprofile.problem.case import shipped_cases
@@ -36,10 +37,11 @@ def call(capsys, *arguments):
 
 
 def assert_refused(folder, result, *words, code=2):
-    """One sentence on stderr, nothing on stdout, and nothing beside the input in the folder."""
+    """One sentence on stderr and where there is more of it, nothing on stdout, and nothing new in the folder."""
     got, out, err = result
     assert (got, out) == (code, "")
     assert err.startswith("hjprofile: ") and err.endswith("\n") and err.count("\n") == 1
+    assert err.rpartition(" (docs/errors.md#")[2].removesuffix(")\n") in anchors()
     assert "Traceback" not in err
     assert [w for w in words if " ".join(w.split()) not in err] == []
     left = {path.name for path in folder.iterdir()} - {"__pycache__"}  # of the user's Python file
@@ -62,8 +64,19 @@ def test_files_that_are_no_toml(folder, capsys, name, command):
     assert_refused(folder, call(capsys, command, "scene.toml"), "scene.toml", *words)
 
 
-BAD_SURVEYS = {
+BAD_SURVEYS = {  # name -> bytes, or these and the words that the message must hold
     "empty": b"",
+    "feet in the header": (b"x_ft,height_ft\n0,0\n1,1\n", ["'x_ft,height_ft'", "names no unit: any will do, the same"]),
+    "metres in the header": (b"x (m),z (m)\n0,0\n1,1\n", ["names no unit: any will do, the same"]),
+    "other names": (b"distance,elevation\n0,0\n1,1\n", ["x is the horizontal distance, growing uphill"]),
+    "semicolons": (b"x;height\n0;0\n1,5;1\n", ["separated by commas, and decimals have a point"]),
+    "tabs": (b"x\theight\n0\t0\n1\t1\n", ["separated by commas, and decimals have a point"]),
+    "decimal commas": (b"x,height\n0,0,0,5\n", ["row 2: '0,0,0,5' must be two numbers", "points for decimals"]),
+    "units": (b"x,height\n0 m,0 m\n", ["row 2: '0 m,0 m' must be two numbers", "no unit"]),
+    "Excel's Unicode": ("x,height\n0,0\n1,1\n".encode("utf-16"), ["save it as text in UTF-8"]),
+    "top at the left": (b"x,height\n0,9\n1,7\n2,8\n", ["rows 2-3;", "so mirror it (write -x for x,"]),
+    "nothing measured": (b"x,height\n0,0\n1,-9999\n2,1\n", ["rows 2-3;", "by 9999 at most (correct it, or set repair"]),
+    "from the top down": (b"x,height\n2,1\n1,0.5\n0,0\n", ["row 3: x = 1 must be greater", "sort the rows by x"]),
     "no header": b"0,0\n1,1\n",
     "unsorted": b"x,height\n0,0\n2,1\n1,2\n",
     "duplicate": b"x,height\n0,0\n1,1\n1,2\n",
@@ -78,10 +91,28 @@ BAD_SURVEYS = {
 
 @pytest.mark.parametrize("name", BAD_SURVEYS)
 def test_bad_surveys(folder, capsys, name):
-    (folder / "survey.csv").write_bytes(BAD_SURVEYS[name])
+    content, words = BAD_SURVEYS[name] if isinstance(BAD_SURVEYS[name], tuple) else (BAD_SURVEYS[name], [])
+    (folder / "survey.csv").write_bytes(content)
     content = changed({"profile": {"kind": "survey", "file": "survey.csv", "critical_slope": 0.5, "length": 2.0}})
     (folder / "scene.toml").write_text(tomli_w.dumps(content))
-    assert_refused(folder, call(capsys, "run", "scene.toml"), "scene.toml: [profile] file = ", "survey.csv")
+    assert_refused(folder, call(capsys, "run", "scene.toml"), "scene.toml: [profile] file = ", "survey.csv", *words)
+
+
+def test_a_slope_in_two_units_is_told(folder, capsys):
+    """x in feet, heights in metres, on a slope that is otherwise critical; and a critical slope in degrees."""
+    profile = {"kind": "survey", "file": "survey.csv", "critical_slope": 0.6, "length": 10.0}
+    (folder / "survey.csv").write_text("x,height\n0,0\n32.8,6\n65.6,12\n")
+    for critical, of_it in (
+        (0.6, "the mean slope 0.183 is 0.305 of the critical"),
+        (32.0, "is 0.00572 of the critical"),
+    ):
+        content = changed({"profile": profile | {"critical_slope": critical}, "domain.left": -7.0})
+        (folder / "scene.toml").write_text(tomli_w.dumps(content))
+        code, out, err = call(capsys, "run", "scene.toml")
+        assert (code, err) == (0, "") and of_it in out and "x and height in one unit" in out
+    (folder / "survey.csv").write_text("x,height\n0,0\n10,6\n20,12\n")
+    (folder / "scene.toml").write_text(tomli_w.dumps(changed({"profile": profile, "domain.left": -7.0})))
+    assert "mean slope" not in call(capsys, "run", "scene.toml")[1]
 
 
 BAD_USER_FILES = {
@@ -107,7 +138,8 @@ def test_bad_python_files(folder, capsys, name):
     ("arguments", "words"),
     [
         (["run", "two_kinkz"], ["two_kinkz: no such file", "did you mean 'two_kinks'?"]),
-        (["run", "."], [".: no such file", "they are: breaking_bump"]),
+        (["run", "."], [".: no such file (it is a folder)", "they are: breaking_bump"]),
+        (["run", "scen.toml"], ["scen.toml: no such file", "did you mean 'scene.toml'?"]),
         (["run", ""], ["no such file"]),
         (["run", "x" * 5000], ["cannot be read: File name too long"]),
         (["run"], ["CASE"]),
@@ -141,8 +173,8 @@ def test_bad_python_files(folder, capsys, name):
         (["fit", "scene.toml", "nowhere.csv", "--vary", "time.end"], ["nowhere.csv", "does not exist"]),
         (["fit", "scene.toml", "user.py", "--vary", "time.end"], ["must begin with the header 'x,height'"]),
         (["fit", "scene.toml", "survey.csv", "--vary", "time.ende"], ["time.ende cannot be varied"]),
-        (["plot", "nowhere"], ["nowhere", "profile.nc is missing"]),
-        (["plot", "scene.toml"], ["scene.toml is not a readable result folder"]),
+        (["plot", "nowhere"], ["nowhere", "profile.nc is missing; `hjprofile run` writes them whole"]),
+        (["plot", "scene.toml"], ["scene.toml is not a readable result folder: it is a file; name the folder that"]),
         (["export", "nowhere"], ["export needs a format: --vtk"]),
         (["export", "nowhere", "--vtk"], ["nowhere", "profile.nc is missing"]),
         (["export", "."], ["--vtk"]),
@@ -207,6 +239,22 @@ def test_a_run_that_breaks_down_on_its_way(folder, capsys):
     (folder / "scene.toml").write_text(tomli_w.dumps(content))
     result = call(capsys, "run", "scene.toml", "--out", "partial")
     assert_partial(Path("partial"), result, "scene.toml", at_start=False)
+
+
+@pytest.mark.parametrize(
+    ("values", "left", "method", "words"),
+    [
+        (5.0, -1000.0, "godunov", "the run cannot start: K f' is not a finite number near x = "),
+        (-0.999999, -1000.0, "fronts", "front tracking cannot start: ln K changes by "),
+    ],
+)
+def test_a_run_that_cannot_start(folder, capsys, values, left, method, words):
+    profile = {"kind": "steps", "edges": [0.9 * left, -2.0], "values": [values]}
+    content = changed({"profile": profile, "domain.left": left, "solver.method": method})
+    (folder / "scene.toml").write_text(tomli_w.dumps(content))
+    code, out, err = call(capsys, "run", "scene.toml")
+    assert (code, out) == (1, "") and words in err
+    assert err.endswith(" (docs/errors.md#a-run-that-stops)\n") and err.count("\n") == 1
 
 
 def process(*arguments, stdout=subprocess.PIPE):

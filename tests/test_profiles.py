@@ -326,10 +326,10 @@ FALLING = [(0.0, 0.0), (1.0, 3.0), (2.0, 2.0), (4.0, 2.5), (5.0, 2.4), (6.0, 9.0
 def test_a_survey_that_descends_is_refused_with_its_rows(tmp_path):
     with pytest.raises(InputError) as refused:
         survey(write(tmp_path, FALLING), 0.5, 1.0)
-    for words in ("does not rise in rows 3-4, 5-6;", "mirror it", "repair = 'isotonic'", "survey.csv"):
+    for words in ("does not rise in rows 3-4, 5-6;", "by 1 at most", "set repair = 'isotonic'", "survey.csv"):
         assert words in str(refused.value)
     mirrored = [(-x, h) for x, h in reversed(ROWS)]
-    with pytest.raises(InputError, match=r"rows 2-3, 3-4, 4-5, 5-6;"):
+    with pytest.raises(InputError, match=r"rows 2-3, 3-4, 4-5, 5-6; .*, so mirror it"):
         survey(write(tmp_path, mirrored), 0.5, 1.0)
     many = [(float(i), -float(i)) for i in range(20)]
     with pytest.raises(InputError, match=r"rows 2-3, 3-4, 4-5, 5-6, 6-7, \.\.\.;"):
@@ -362,12 +362,13 @@ def test_the_repaired_survey_is_the_nearest_rising_one(tmp_path_factory, rows, c
 
     moved = np.abs(nearest - height)
     assume(not np.any((moved > 1e-12) & (moved < 1e-6)))  # whether such a point has moved is a matter of rounding
+    account = re.sub("(; )?the mean slope .*", "", slope.account)  # far from the critical one, in many of these
     if moved.max() <= 1e-12:
-        assert slope.account == ""
+        assert account == ""
         return
     number, most, average = re.fullmatch(
         rf"survey repaired: (\d+) of {x.size} points moved, by (\S+) at most and (\S+) on average \(r\.m\.s\.\)",
-        slope.account,
+        account,
     ).groups()
     assert int(number) == np.count_nonzero(moved > 1e-6)
     assert float(most) == pytest.approx(moved.max(), rel=5e-3)  # three digits are printed
@@ -473,7 +474,8 @@ BAD_ARGUMENTS = [
     (lambda: steady(1.0).check(GRID, expression("1-1/(1+q)")), "flux = 1 is more than the law 'expression' erodes"),
     (lambda: profile(lambda x: 1 / 0).check(GRID, log()), "the profile cannot be evaluated: ZeroDivisionError"),
     (lambda: profile(lambda x: x * math.nan).check(GRID, log()), "the profile is not finite near x = -8.95"),
-    (lambda: profile(lambda x: -x).check(GRID, log()), "q = -2 at the left end x = -9; the slope must be critical"),
+    (lambda: profile(lambda x: -x).check(GRID, log()), "the profile does not rise near x = -8.85, where q = -2;"),
+    (lambda: profile(lambda x: 0.5 * x).check(GRID, log()), "q = -0.5 at the left end x = -9;"),
     (
         lambda: profile(lambda x: x if x < -4 else -8 - x).check(GRID, log()),
         "does not rise near x = -",

@@ -137,6 +137,28 @@ def test_netcdf_in_xarray(run, tmp_path):
     assert back == (dict(vars(run.units)) if run.units else {})
 
 
+def test_to_xarray_is_what_the_file_holds(run, tmp_path):
+    write_run(run, tmp_path, vtk=False, plots=False)
+    with xarray.open_dataset(tmp_path / "profile.nc") as data:
+        made = run.to_xarray()
+        made.attrs["title"] = made.attrs["title"] or " "  # netCDF has no empty text
+        xarray.testing.assert_identical(made, data)
+    made = run.to_xarray()
+    assert np.shares_memory(made.u.values, run.u)
+    lowered = (made.u.isel(time=0) - made.u.isel(time=-1)).integrate("x")  # by its coordinate, without more ado
+    assert float(lowered) == pytest.approx(run.eroded_volume, abs=1e-9 + 0.02 * abs(run.eroded_volume))
+
+
+def test_xarray_is_not_imported_unless_asked_for():
+    program = (
+        "import sys, hjprofile as hj\n"
+        "run = hj.solve_hj(hj.Problem(hj.rational(), hj.kinks([-1.0], [1.0]), 0.1), hj.Grid(-2.0, 40))\n"
+        "assert 'xarray' not in sys.modules\nassert run.to_xarray().u.shape == run.u.shape\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_the_case_in_the_netcdf_runs_again(home, tmp_path, name):
     run = solved(name, home)

@@ -1,17 +1,21 @@
 """Every VTK file read back by value: by VTK's own readers, and by a decoder that knows nothing but the format."""
 
 import base64
+import runpy
+import sys
 import tempfile
 import zlib
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 import pyvista
+from scipy.io import netcdf_file
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkIOXML import vtkXMLPolyDataReader, vtkXMLRectilinearGridReader
 
@@ -19,6 +23,8 @@ import hjprofile as hj
 from hjprofile.output.store import write_whole
 from hjprofile.output.vtk import vtk_files
 
+SCRIPT = Path(__file__).parent.parent / "docs" / "open_in_paraview.py"
+SCENES = ("kinks", "single", "large", "survey", "births", "stopped")
 LENGTH, CRITICAL = 50.0, 0.6
 SURVEY = np.array(
     [[1000.0, 20.0], [1100.0, 60.0], [1150.0, 150.0], [1200.0, 170.0]]
@@ -33,6 +39,12 @@ def solved(name):
         return hj.solve_hj(hj.Problem(law, profile, end=5.0, snapshots=[0.0, 0.1 + 0.2, 2 / 3, 3.0, 5.0]), grid)
     if name == "single":
         return hj.solve_hj(hj.Problem(law, hj.bumps([-0.5], [-2.0], [0.4]), end=0.5, snapshots=1), grid)
+    if name == "births":
+        profile = hj.bumps([0.8], [-4.0], [1.0])
+        return hj.solve_hj(hj.Problem(law, profile, end=2.0, snapshots=7), hj.Grid(left=-8.0, cells=200))
+    if name == "stopped":  # long before its second time; and without a kink
+        problem = hj.Problem(law, hj.bumps([3.0], [-4.0], [1.0]), end=3.0, snapshots=4)
+        return hj.solve_hj(problem, hj.Grid(left=-8.0, cells=400), cfl=2.5)
     if name == "large":  # more than one compressed block an array
         profile = hj.kinks([-3.0, -2.0], [0.4, 1.2])
         return hj.solve_hj(hj.Problem(law, profile, end=0.02, snapshots=12), hj.Grid(left=-5.0, cells=1500))
@@ -46,7 +58,7 @@ def solved(name):
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
     """Scene -> folder with its files."""
-    folders = {name: tmp_path_factory.mktemp(name) for name in ("kinks", "single", "large", "survey")}
+    folders = {name: tmp_path_factory.mktemp(name) for name in SCENES}
     for name, folder in folders.items():
         for file, content in vtk_files(solved(name)).items():
             write_whole(folder / file, content)
@@ -80,7 +92,9 @@ def by_vtk(path):
     reader.Update()
     assert reader.GetErrorCode() == 0
     mesh = reader.GetOutput()
+    scalars = (mesh.GetPointData().GetScalars(), mesh.GetCellData().GetScalars())
     found = SimpleNamespace(
+        active=tuple(None if array is None else array.GetName() for array in scalars),
         point_data=vtk_arrays(mesh.GetPointData()),
         cell_data=vtk_arrays(mesh.GetCellData()),
         field_data=vtk_arrays(mesh.GetFieldData()),
@@ -89,8 +103,7 @@ def by_vtk(path):
         axes = (mesh.GetXCoordinates(), mesh.GetYCoordinates(), mesh.GetZCoordinates())
         found.coordinates = {axis.GetName(): vtk_to_numpy(axis) for axis in axes}
         return found
-    points = mesh.GetPoints()
-    found.points = vtk_to_numpy(points.GetData()) if points and points.GetNumberOfPoints() else np.empty((0, 3))
+    found.points = vtk_to_numpy(mesh.GetPoints().GetData())
     cells = {"lines": mesh.GetLines(), "verts": mesh.GetVerts(), "polys": mesh.GetPolys(), "strips": mesh.GetStrips()}
     for name, kind in cells.items():
         at, ends = (vtk_to_numpy(a) for a in (kind.GetConnectivityArray(), kind.GetOffsetsArray()))
@@ -137,6 +150,7 @@ def by_format(path):
         return {a.get("Name"): decode(a, root) for a in parent.iterfind(f"{name}/DataArray")}
 
     found = SimpleNamespace(
+        active=(piece.find("PointData").get("Scalars"), piece.find("CellData").get("Scalars")),
         point_data=section(piece, "PointData"),
         cell_data=section(piece, "CellData"),
         field_data=section(data, "FieldData"),
@@ -146,7 +160,7 @@ def by_format(path):
         sizes = [v.size for v in found.coordinates.values()]
         assert piece.get("Extent") == data.get("WholeExtent") == " ".join(f"0 {n - 1}" for n in sizes)
         return found
-    found.points = next(iter(section(piece, "Points").values()), np.empty((0, 3)))
+    (found.points,) = section(piece, "Points").values()  # also of 0 points: ParaView 5.11 complains where there is none
     assert int(piece.get("NumberOfPoints")) == len(found.points)
     for name in ("Lines", "Verts", "Polys", "Strips"):
         cells = section(piece, name)
@@ -160,13 +174,17 @@ def read(request):
     return request.param
 
 
-scenes = pytest.mark.parametrize("name", ["kinks", "single", "large", "survey"])
+scenes = pytest.mark.parametrize("name", SCENES)
 
 
 def test_the_scenes_hold_what_the_tests_need(folders):
     counts = [len(solved("kinks").kinks_at(i)) for i in range(5)]
     assert counts[0] == 2 and 1 in counts and counts[-1] == 0
     assert solved("survey").kinks and solved("single").time.size == 1
+    births = solved("births")
+    assert not births.kinks_at(0) and births.kinks_at(-1) and births.events[0].event == "birth"
+    stopped = solved("stopped")
+    assert not stopped.done and not stopped.kinks and stopped.time.size == 2 and 0 < stopped.time[-1] < 1
     root = ElementTree.parse(folders["large"] / "profile_0000.vtp").getroot()
     array = root.find("PolyData/Piece/Points/DataArray")
     assert np.frombuffer(base64.b64decode(array.text.split()[0][:8])[:4], "<u4")[0] == 2  # blocks
@@ -255,6 +273,81 @@ def test_collections(folders, name, kind):
         (mesh,) = reader.read()
         assert mesh.field_data["TimeValue"].tolist() == [t]
         assert mesh.n_points == (run.cells + 1 if kind == "profile" else len(run.kinks_at(i)))
+
+
+@scenes
+def test_paraview_colours_at_once_by_what_one_looks_for(folders, read, name):
+    """It takes the active scalars, those of points before those of cells."""
+    for i in range(solved(name).time.size):
+        assert read(folders[name] / f"profile_{i:04d}.vtp").active == (None, "q")
+        assert read(folders[name] / f"kinks_{i:04d}.vtp").active == ("jump", None)
+    assert read(folders[name] / "sheet.vtr").active == ("q", None)
+
+
+@scenes
+def test_collections_hold_what_the_other_files_say(folders, tmp_path, name):
+    """A result folder as someone else opens it: profile.nc and kinks.csv against what ParaView plays."""
+    hj.write_run(solved(name), tmp_path, plots=False)
+    units = solved(name).units
+    kinks = np.genfromtxt(tmp_path / "kinks.csv", delimiter=",", names=True, ndmin=1)
+    with netcdf_file(tmp_path / "profile.nc", mmap=False) as stored:
+        time, x, u, q, K = (stored.variables[key][:].astype(float) for key in ("time", "x", "u", "q", "K"))
+    readers = {kind: pyvista.get_reader(tmp_path / "vtk" / f"{kind}.pvd") for kind in ("profile", "kinks")}
+    for i, t in enumerate(time):
+        for reader in readers.values():
+            reader.set_active_time_value(t)
+        (profile,), (points,) = (reader.read() for reader in readers.values())
+        px, pu = in_units(name, x, u[i])
+        np.testing.assert_allclose(profile.points, np.column_stack([px, pu, 0 * x]), rtol=1e-15, atol=0)  # a rounding
+        assert np.array_equal(profile["q"], q[i]) and np.array_equal(profile["K"], K[i])
+        now = kinks[kinks["time"] == t]
+        assert points["kink"].tolist() == now["kink"].tolist() and points["jump"].tolist() == now["jump"].tolist()
+    assert (units is not None) == (name == "survey")
+
+
+@pytest.mark.parametrize("name", ["survey", "births", "stopped"])
+def test_the_script_for_paraview_finds_what_it_asks_for(folders, monkeypatch, name):
+    """Run with a ParaView that knows nothing but how to look into files; with the real one it is run by hand."""
+
+    class Source:
+        def __init__(self, path, **names):
+            self.FileName, self.mesh = path, pyvista.read(path)
+            self.TimestepValues = solved(name).time.tolist()
+            self.UpdatePipeline()
+
+        def UpdatePipeline(self, t=0.0):
+            mesh = self.mesh
+            if isinstance(mesh, pyvista.MultiBlock):
+                reader = pyvista.get_reader(self.FileName)
+                reader.set_active_time_value(t)
+                (mesh,) = reader.read()
+            empty = not mesh.n_points  # then ParaView tells of no arrays
+            self.arrays = {"POINTS": {} if empty else dict(mesh.point_data), "CELLS": dict(mesh.cell_data)}
+            self.PointData = MagicMock(GetArray=self.arrays["POINTS"].get)
+            self.PointData.__getitem__.side_effect = lambda key: MagicMock(
+                GetRange=lambda: (self.arrays["POINTS"][key].min(), self.arrays["POINTS"][key].max())
+            )
+
+        def GetDataInformation(self):
+            return MagicMock(GetBounds=lambda: self.mesh.bounds)
+
+    shown = {}
+    simple = MagicMock(OpenDataFile=Source, Show=lambda source, view: MagicMock(source=source))
+    simple.GetActiveSource.return_value = MagicMock(FileName=str(folders[name] / "profile.pvd"))
+    colours = {"q": MagicMock(RGBPoints=[-0.5, 0, 0, 0, 2.0, 1, 1, 1]), "jump": MagicMock()}
+    simple.GetColorTransferFunction.side_effect = colours.get
+
+    def colour(display, array):
+        assert array[1] in display.source.arrays[array[0]]
+        shown[Path(display.source.FileName).name] = array
+
+    simple.ColorBy.side_effect = colour
+    monkeypatch.setitem(sys.modules, "paraview", MagicMock(simple=simple))
+    monkeypatch.setattr(sys, "argv", ["paraview"])
+    runpy.run_path(str(SCRIPT))
+    assert shown.pop("kinks.pvd", None) == (("POINTS", "jump") if solved(name).kinks else None)
+    assert shown == {"profile.pvd": ("CELLS", "q"), "sheet.vtr": ("POINTS", "q")}
+    colours["q"].RescaleTransferFunction.assert_called_once_with(-2.0, 2.0)
 
 
 @scenes

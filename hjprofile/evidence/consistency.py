@@ -7,15 +7,17 @@ of one to the other is evidence that both solve the equation.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hjprofile.errors import RunError
 from hjprofile.evidence.accuracy import Comparison, compare, observed_order
 from hjprofile.problem import Problem
+from hjprofile.problem.case import Case, load_case
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.characteristics import solve_characteristics
 from hjprofile.solvers.fronts import track_fronts
@@ -56,6 +58,55 @@ class Check(NamedTuple):
     threshold: float
     passes: bool
     rule: str
+
+    def line(self) -> str:
+        """As it is printed."""
+        order = f"order {self.order:.2f}, " if self.order is not None else ""
+        cells = f" on {self.cells[-1]} {'fronts' if ':fronts:' in self.name else 'cells'}"
+        verdict = "passes" if self.passes else "FAILS "
+        return f"{verdict}  {self.name:36} {order}{self.error[-1]:.2g}{cells}  ({self.rule})"
+
+
+@dataclass(frozen=True, repr=False)
+class Consistency:
+    """The consistency test of one case: true if every comparison passes; as text, a line for each.
+
+    In a test of one's own `assert hj.check("my_case.toml")` shows those that fail.
+    """
+
+    case: str
+    title: str
+    comparisons: Sequence[Check]
+
+    @property
+    def passes(self) -> bool:
+        return all(c.passes for c in self.comparisons)
+
+    def __bool__(self) -> bool:
+        return self.passes
+
+    def __str__(self) -> str:
+        shown = [c for c in self.comparisons if not c.name.startswith("bounds:") or not c.passes]
+        return "\n  ".join([f"{self.case}: {'passes' if self.passes else 'FAILS'}", *(c.line() for c in shown)])
+
+    def __repr__(self) -> str:
+        failed = [" ".join(c.line().split()) for c in self.comparisons if not c.passes]
+        return f"<{self.case}: {'; '.join(failed) or 'passes'}>"
+
+    def report(self) -> dict[str, Any]:
+        """The entry of `check.json`."""
+        comparisons = [c._asdict() for c in self.comparisons]
+        return {"case": self.case, "title": self.title, "passes": self.passes, "comparisons": comparisons}
+
+
+def check(case: Case | str | Path, progress: Callable[[float], None] | None = None) -> Consistency:
+    """The consistency test of a case, of a case file, or of a case that comes with the package, by its name.
+
+    Raises InputError for bad input; RunError where a witness is lost.
+    """
+    case = case if isinstance(case, Case) else load_case(case)
+    comparisons = check_consistency(case.problem, case.grid, case.cfl, progress, case.refresh)
+    return Consistency(case.name, case.problem.title, comparisons)
 
 
 def check_consistency(

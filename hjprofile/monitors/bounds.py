@@ -142,7 +142,8 @@ class BoundsMonitor:
             self.first_volume = state.volume()
         else:
             self.budget_allowance += 0.5 * (t - self.t) * (self.rate + rate)
-            across = np.exp(dx * np.abs(self.law.f(np.array([least, most]))).max())  # how K differs across a cell
+            with np.errstate(over="ignore"):  # how K differs across a cell; inf, and nothing is promised, near q = -1
+                across = np.exp(dx * np.abs(self.law.f(np.array([least, most]))).max())
             self.growth_allowed += (t - self.t) * max(self.swell, swell) * across
         self.t, self.rate, self.swell, self.looked = t, rate, swell, state.steps
 

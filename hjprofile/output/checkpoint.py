@@ -72,7 +72,8 @@ class Checkpoint:
             NotImplementedError,
         ) as error:
             raise InputError(
-                f"{self.path} is damaged ({type(error).__name__}); run without --resume to start anew"
+                f"{self.path} is damaged ({type(error).__name__}); run without --resume to start anew",
+                about="a-checkpoint",
             ) from None
         for key in self.identity | theirs:
             mine, kept = self.identity.get(key), theirs.get(key)
@@ -82,7 +83,9 @@ class Checkpoint:
                     if key == "data"
                     else f"{key} = {kept} there, {mine} here"
                 )
-                raise InputError(f"{self.path} is of another run: {what}; run without --resume to start anew")
+                raise InputError(
+                    f"{self.path} is of another run: {what}; run without --resume to start anew", about="a-checkpoint"
+                )
         return stored
 
     def due(self) -> bool:
@@ -97,7 +100,8 @@ class Checkpoint:
         self.last = time.monotonic()
         if self.asked:
             raise RunError(
-                f"interrupted at t = {t:.6g}; the run is kept in {self.path}, and --resume goes on from there"
+                f"interrupted at t = {t:.6g}; the run is kept in {self.path}, and --resume goes on from there",
+                about="interrupted",
             )
 
     def discard(self) -> None:

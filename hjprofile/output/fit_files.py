@@ -6,7 +6,8 @@ from typing import Any
 
 import hjprofile
 from hjprofile.evidence.calibration import FRONTS, Calibration, Parameter
-from hjprofile.output.store import to_json, to_toml
+from hjprofile.output.store import to_json
+from hjprofile.problem.case import to_toml
 
 
 def fit_files(found: Calibration) -> dict[str, bytes | str]:

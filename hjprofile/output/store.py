@@ -9,7 +9,7 @@ import os
 import re
 import tempfile
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from concurrent.futures import BrokenExecutor, Executor, ThreadPoolExecutor
 from contextlib import suppress
 from itertools import groupby
@@ -17,27 +17,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
 
 import hjprofile
 from hjprofile.errors import InputError
 from hjprofile.problem.units import Units
-from hjprofile.solvers.run import Event, KinkRecord, Run, Verdict, VerticalStep
+from hjprofile.solvers.run import FIELDS, UNITS, Event, KinkRecord, Run, Verdict, VerticalStep
 
 VTK_FOLDER = "vtk"
 STEPS_FILE = "vertical_steps.csv"
-_UNITS = ("length", "critical_slope", "x_top", "height_top")
 _HALF = re.compile(r"\..+\.(nc|csv|json|toml|png|npz|pvd|vtp|vtr)\.\w{8}")  # as `write_whole` names them
 _STALE = (STEPS_FILE, "profile.png", "diagram.png", "vtk/*.pvd", "vtk/*.vtp", "vtk/*.vtr")
-
-_VARIABLES = {  # name -> dimensions, CF long name, axis
-    "time": (("time",), "mass of grains poured in", "T"),
-    "x": (("node",), "distance from the top of the slope, uphill positive", "X"),
-    "x_cell": (("cell",), "midpoints of the cells", None),
-    "u": (("time", "node"), "height of the standing profile", None),
-    "q": (("time", "cell"), "excess slope du/dx - 1, mean over the cell", None),
-    "K": (("time", "node"), "nonlocal factor: thickening of the avalanche", None),
-}
 
 
 def write_whole(path: Path, data: bytes | str) -> None:
@@ -126,24 +115,16 @@ def netcdf(run: Run) -> bytes:
 
     buffer = io.BytesIO()
     file = netcdf_file(buffer, "w", version=2)
-    file.Conventions = "CF-1.8"
-    text = {"title": run.title or " ", "method": run.method, "status": run.status}
-    for name, value in (text | {"case": to_toml(run.case)}).items():
-        setattr(file, name, value.encode())  # scipy takes a str for ASCII
-    file.hjprofile_version = hjprofile.__version__
-    if run.units:
-        for name in _UNITS:
-            setattr(
-                file, name, np.float64(getattr(run.units, name))
-            )  # a plain float would be stored in single precision
+    for name, value in run.attributes.items():
+        # scipy takes a str for ASCII, cannot store an empty one, and keeps a plain float in single precision
+        setattr(file, name, (value or " ").encode() if isinstance(value, str) else np.float64(value))
     for dimension, size in (("time", run.time.size), ("node", run.x.size), ("cell", run.x_cell.size)):
         file.createDimension(dimension, size)
-    for name, (dimensions, long_name, axis) in _VARIABLES.items():
+    for name, (dimensions, attributes) in FIELDS.items():
         variable = file.createVariable(name, "f8", dimensions)
         variable[:] = getattr(run, name)
-        variable.long_name, variable.units = long_name, "1"
-        if axis:
-            variable.axis = axis
+        for attribute, value in attributes.items():
+            setattr(variable, attribute, value)
         if len(dimensions) == 2:
             variable.coordinates = "x_cell" if dimensions[1] == "cell" else "x"
     file.flush()
@@ -181,7 +162,7 @@ def summary(run: Run) -> dict[str, Any]:
     if run.error_estimate is not None:
         content["error_estimate"] = run.error_estimate
     if run.units:
-        content["units"] = {name: getattr(run.units, name) for name in _UNITS}
+        content["units"] = {name: getattr(run.units, name) for name in UNITS}
         content["units"]["volume_of_one"] = run.units.volume
     if run.account:
         content["account"] = run.account
@@ -189,7 +170,7 @@ def summary(run: Run) -> dict[str, Any]:
 
 
 def to_json(content: Any) -> str:
-    """JSON text, with null for what is not a finite number."""
+    """JSON text, with null for what is not a finite number and paths as text."""
 
     def plain(value: Any) -> Any:
         if isinstance(value, dict):
@@ -198,14 +179,11 @@ def to_json(content: Any) -> str:
             return [plain(v) for v in value]
         if isinstance(value, np.generic):
             value = value.item()
+        if isinstance(value, Path):
+            return str(value)
         return None if isinstance(value, float) and not np.isfinite(value) else value
 
     return json.dumps(plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def to_toml(content: Mapping[str, Any]) -> str:
-    """TOML text of a resolved case."""
-    return tomli_w.dumps(dict(content))
 
 
 def to_csv(header: Iterable[str], rows: Iterable[tuple]) -> str:
@@ -225,9 +203,9 @@ def load_run(folder: str | Path) -> Run:
     folder = Path(folder)
     try:
         with netcdf_file(folder / "profile.nc", "r", mmap=False) as file:
-            arrays = {name: np.array(file.variables[name][:], dtype=float) for name in _VARIABLES}
+            arrays = {name: np.array(file.variables[name][:], dtype=float) for name in FIELDS}
             text = {n: getattr(file, n).decode() for n in ("method", "case", "status")}
-            units = Units(*(float(getattr(file, n)) for n in _UNITS)) if hasattr(file, _UNITS[0]) else None
+            units = Units(*(float(getattr(file, n)) for n in UNITS)) if hasattr(file, UNITS[0]) else None
         kinks = [
             KinkRecord(**{n: int(v) if n == "kink" else float(v or "nan") for n, v in row.items()})  # type: ignore[arg-type]
             for row in _read(folder, "kinks.csv")
@@ -260,9 +238,16 @@ def load_run(folder: str | Path) -> Run:
             account=content.get("account", ""),
         )  # fmt: skip
     except FileNotFoundError as error:
-        raise InputError(f"{folder} is not a complete result folder: {Path(error.filename).name} is missing") from None
+        under = Path("results") / folder
+        remedy = f"did you mean {under}?" if under.is_dir() else "`hjprofile run` writes them whole"
+        message = f"{folder} is not a complete result folder: {Path(error.filename).name} is missing; {remedy}"
+        raise InputError(message, about="a-result-folder") from None
+    except NotADirectoryError:
+        message = f"{folder} is not a readable result folder: it is a file; name the folder that `hjprofile run` wrote"
+        raise InputError(message, about="a-result-folder") from None
     except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
-        raise InputError(f"{folder} is not a readable result folder: {type(error).__name__}: {error}") from None
+        message = f"{folder} is not a readable result folder: {type(error).__name__}: {error}; run the case again"
+        raise InputError(message, about="a-result-folder") from None
 
 
 def _number(value: float | None) -> float:

@@ -217,6 +217,13 @@ def netcdf(result: Sweep) -> bytes:
     return data
 
 
+def report(result: Sweep) -> dict[str, Any]:
+    """The table as a dictionary: a row for each member, with the columns of `sweep.csv`."""
+    columns = [*result.vary, *_COLUMNS]
+    members = [dict(zip(columns, row, strict=True)) for row in _rows(result)]
+    return {"case": result.name, "title": result.title, "recalled": result.recalled, "members": members}
+
+
 def account(result: Sweep) -> str:
     """What came of a sweep, in some twenty lines at most."""
     done = sum(o.done for o in result.outcomes)

@@ -56,6 +56,8 @@ def _profile(run: Run, i: int) -> pyvista.PolyData:
     mesh.point_data["slope"] = critical * (1.0 + _at_nodes(run.q[i]))
     mesh.point_data["K"] = run.K[i]
     mesh.cell_data["q"] = run.q[i]
+    mesh.point_data.active_scalars_name = None
+    mesh.cell_data.active_scalars_name = "q"  # what ParaView colours by at once
     return mesh
 
 
@@ -63,9 +65,8 @@ def _kinks(run: Run, i: int) -> pyvista.PolyData:
     kinks = run.kinks_at(i)
     at = np.array([k.x for k in kinks], dtype=float)
     x, u, _ = _places(run, at, np.interp(at, run.x, run.u[i]))
-    mesh = pyvista.PolyData()
-    if kinks:
-        mesh = pyvista.PolyData(np.column_stack([x, u, np.zeros(at.size)]))
+    # without kinks 0 points, not an empty mesh: ParaView complains of a file that does not say so
+    mesh = pyvista.PolyData(np.column_stack([x, u, np.zeros(at.size)]))
     length = run.units.length if run.units else 1.0
     mesh.point_data["kink"] = np.array([k.kink for k in kinks], dtype=np.int64)
     mesh.point_data["jump"] = np.array([k.jump for k in kinks], dtype=float)
@@ -73,6 +74,7 @@ def _kinks(run: Run, i: int) -> pyvista.PolyData:
         [k.rankine_hugoniot_speed if np.isnan(k.speed) else k.speed for k in kinks],
         dtype=float,  # seen only once
     )
+    mesh.point_data.active_scalars_name = "jump"
     return mesh
 
 
@@ -83,6 +85,7 @@ def _sheet(run: Run) -> pyvista.RectilinearGrid:
         getattr(mesh, f"Get{axis}Coordinates")().SetName(name)  # without a name VTK makes one up anew in each run
     for name, values in (("u", u), ("q", _at_nodes(run.q)), ("K", run.K)):
         mesh.point_data[name] = np.ascontiguousarray(values).ravel()
+    mesh.point_data.active_scalars_name = "q"
     return mesh
 
 

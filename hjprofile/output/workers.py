@@ -24,10 +24,13 @@ def drawing_helper(wanted: bool) -> Iterator[Executor | None]:
         yield None
         return
     import multiprocessing
+    import warnings
     from concurrent.futures import ProcessPoolExecutor
 
     with ProcessPoolExecutor(1, multiprocessing.get_context("fork"), _prepare, (os.getpid(),)) as helper:
-        helper.submit(int)  # so that it starts now
+        with warnings.catch_warnings():  # Python 3.12 and later warn of BLAS's threads too, which stand a fork
+            warnings.simplefilter("ignore", DeprecationWarning)
+            helper.submit(int)  # so that it starts now
         yield helper
 
 
@@ -50,7 +53,7 @@ def processes(workers: int | None) -> Iterator[Executor]:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     if workers is not None and workers < 1:
-        raise InputError(f"--workers {workers} must be 1 or more")
+        raise InputError(f"--workers {workers} must be 1 or more", about="the-command-line")
     own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     pool = Workers if hasattr(signal, "pthread_sigmask") else ProcessPoolExecutor
     with pool(workers or own, multiprocessing.get_context("spawn"), _ward, (os.getpid(),)) as executor:

@@ -127,7 +127,7 @@ class Problem:
         if method in OFF_GRID:
             raise InputError(
                 f"refresh applies to methods on a grid; {method} follows the invariant I, which a factor that is kept "
-                "does not have"
+                "does not have; leave it out"
             )
         if not (0.0 < refresh < np.inf and self.end / refresh <= MOST_REFRESHES):
             raise InputError(

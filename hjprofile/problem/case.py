@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
@@ -12,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomli_w
 
-from hjprofile.errors import InputError
+from hjprofile.errors import InputError, did_you_mean
 from hjprofile.problem import Problem, coefficient, erosion, profiles
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.survey import survey
@@ -21,6 +21,17 @@ from hjprofile.problem.survey import survey
 DEFAULT_METHOD = "local-lax-friedrichs"
 DEFAULT_CFL = 0.9
 DEFAULT_CHECKPOINT = 60.0  # seconds
+ABOUT = {  # section -> heading of the page on errors
+    "erosion": "an-erosion-law",
+    "layer": "a-layer",
+    "profile": "a-profile",
+    "coefficient": "a-prescribed-coefficient",
+    "domain": "the-domain-and-the-grid",
+    "time": "time-and-snapshots",
+    "solver": "method-and-tolerance",
+}
+
+LONGEST_SHOWN = 400  # characters of a value in a message
 
 
 @dataclass(frozen=True)
@@ -57,39 +68,50 @@ class _Section:
     def __init__(self, source: str, name: str, values: Any):
         self.source, self.name = source, name
         if not isinstance(values, dict):
-            raise InputError(f"{source}: {name} must be a table, written [{name}]")
+            raise InputError(f"{source}: {name} must be a table, written [{name}]", "a-value-of-the-wrong-kind")
         self.values: dict[str, Any] = dict(values)
         self.known: list[str] = []
 
-    def error(self, message: str) -> InputError:
-        return InputError(f"{self.source}: {'[' + self.name + '] ' if self.name else ''}{message}")
+    def error(self, message: str, about: str = "") -> InputError:
+        where = f"[{self.name}] " if self.name else ""
+        return InputError(f"{self.source}: {where}{message}", about or ABOUT.get(self.name, "a-case-file"))
 
     def take(self, key: str, kind: Callable[[Any], Any], default: Any = ...) -> Any:
         self.known.append(key)
         if key not in self.values:
             if default is ...:
-                raise self.error(f"{key} is missing; it must be {kind.__doc__}")
+                raise self.error(f"{key} is missing; it must be {kind.__doc__}", "a-key-that-is-missing")
             return default
         value = self.values.pop(key)
         try:
             return kind(value)
         except (TypeError, ValueError):
-            raise self.error(f"{key} = {_shown(value)} must be {kind.__doc__}") from None
+            hint = " (without quotes)" if isinstance(value, str) and _is_number(value) else ""
+            message = f"{key} = {_shown(value)} must be {kind.__doc__}{hint}"
+            raise self.error(message, "a-value-of-the-wrong-kind") from None
 
     def finish(self) -> None:
         for key in self.values:
-            close = difflib.get_close_matches(key, self.known, 1)
-            hint = f"; did you mean {close[0]!r}?" if close else ""
             written = key if key.isprintable() else repr(key)  # a line break, an escape sequence of the terminal
-            raise self.error(f"{written} is not a known key{hint} (allowed: {', '.join(self.known)})")
+            hint = did_you_mean(key, self.known)
+            message = f"{written} is not a known key{hint} (allowed: {', '.join(self.known)})"
+            raise self.error(message, "a-misspelt-key")
 
 
 def _shown(value: Any) -> str:
     """The value as a message shows it."""
-    try:
-        return repr(value)
-    except (ValueError, RecursionError):  # a hexadecimal number of thousands of digits, a dotted key of as many parts
-        return "(too long to be shown)"
+    with suppress(
+        ValueError, RecursionError
+    ):  # a hexadecimal number of thousands of digits, a dotted key of as many parts
+        if len(text := repr(value)) <= LONGEST_SHOWN:
+            return text
+    return "(too long to be shown)"
+
+
+def _is_number(text: str) -> bool:
+    with suppress(ValueError):
+        return bool(np.isfinite(float(text)))
+    return False
 
 
 def _number(value: Any) -> float:
@@ -191,9 +213,13 @@ _COEFFICIENTS: dict[str, tuple[Callable, dict[str, tuple]]] = {
 
 def _build(section: _Section, chooser: str, choices: Mapping[str, tuple[Callable, dict]], base: Path) -> Any:
     """The law, profile or coefficient that a section describes: `chooser` names one of `choices`."""
+    allowed = ", ".join(map(repr, choices))
+    if chooser not in section.values:
+        raise section.error(f"{chooser} is missing; it must be a string, one of {allowed}", "a-key-that-is-missing")
     name = section.take(chooser, _text)
     if name not in choices:
-        raise section.error(f"{chooser} = {name!r} is not known; allowed are {', '.join(map(repr, choices))}")
+        hint = did_you_mean(name, list(choices))
+        raise section.error(f"{chooser} = {name!r} is not known{hint or ';'} allowed are {allowed}", "a-misspelt-name")
     make, keys = choices[name]
     arguments = {key: section.take(key, *how) for key, how in keys.items()}
     section.finish()
@@ -202,7 +228,7 @@ def _build(section: _Section, chooser: str, choices: Mapping[str, tuple[Callable
     try:
         return make(**arguments)
     except InputError as error:
-        raise section.error(str(error)) from None
+        raise section.error(str(error), error.about) from None
 
 
 def load_case(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Case:
@@ -222,12 +248,20 @@ def load_case(path: str | Path, overrides: Mapping[str, Any] | None = None) -> C
 
 def read_case(path: Path) -> dict[str, Any]:
     """The tables of a case file, unchecked. Raises InputError if it cannot be read or is not TOML."""
+    text = ""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
+        text = path.read_text(encoding="utf-8-sig")
+        return tomllib.loads(text)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error}", "a-file-that-cannot-be-read") from None
+    except UnicodeDecodeError as error:
+        message = f"{path}: cannot be read: it is not text in UTF-8 ({error}); save it as UTF-8"
+        raise InputError(message, "a-file-that-cannot-be-read") from None
     except (ValueError, RecursionError) as error:  # beside bad syntax: integers of thousands of digits, deep nesting
-        raise InputError(f"{path}: not valid TOML: {error}") from None
+        found = re.search(r"\(at line (\d+), column \d+\)$", str(error))
+        line = text.split("\n")[int(found[1]) - 1].strip()[:60] if found else ""
+        shown = f", which reads {line!r}" if line else ""
+        raise InputError(f"{path}: not valid TOML: {error}{shown}", "a-file-that-is-no-toml") from None
 
 
 def read_choices(arguments: Sequence[str]) -> dict[str, list[Any]]:
@@ -239,9 +273,9 @@ def read_choices(arguments: Sequence[str]) -> dict[str, list[Any]]:
     for argument in arguments:
         key, equals, text = argument.partition("=")
         if not equals:
-            raise InputError(f"{argument!r} must be written section.key=value,value,...")
+            raise InputError(f"{argument!r} must be written section.key=value,value,...", "a-sweep")
         if key in choices:
-            raise InputError(f"{key} is there twice; name all its values at once")
+            raise InputError(f"{key} is there twice; name all its values at once", "a-sweep")
         word = r"(?<=,)\s*(?!(?:true|false|inf|nan)\s*,)([A-Za-z][\w./-]*)\s*(?=,)"
         for array in (text, re.sub(word, r'"\1"', f",{text},")[1:-1]):
             with suppress(ValueError, RecursionError):
@@ -250,7 +284,8 @@ def read_choices(arguments: Sequence[str]) -> dict[str, list[Any]]:
                     choices[key] = content["values"]
                     break
         else:
-            raise InputError(f"{argument!r} must have values as TOML writes them, or plain words, with commas between")
+            message = f"{argument!r} must have values as TOML writes them, or plain words, with commas between"
+            raise InputError(message, "a-sweep")
     return choices
 
 
@@ -287,7 +322,10 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
         tail = min(profiles.TAIL, 0.01 * tolerance) if tolerance else profiles.TAIL
         grid = profile.grid(cells, tail) if left is None else Grid(left, cells, right)
         section = time
-        problem = Problem(law, profile, title=title, coefficient=given, **time_values)
+        problem = Problem(law, profile, title=title, **time_values)
+        if given is not None:
+            section = sections["coefficient"]
+            problem = replace(problem, coefficient=given)
         section = layer
         problem = replace(problem, thickness=thickness)
         section = domain
@@ -300,7 +338,7 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
             section = sections["coefficient"]
             given.check(grid.nodes, problem.end)
     except InputError as error:
-        raise section.error(str(error)) from None
+        raise section.error(str(error), error.about) from None
     return Case(name, source, problem, grid, method, cfl, tolerance, vtk, plots, checkpoint, expect, refresh)
 
 
@@ -348,12 +386,21 @@ def find_case(case: str | Path) -> Path:
         if path.is_file():
             return path
     except OSError as error:  # a name too long, a folder that may not be entered
-        raise InputError(f"{case}: cannot be read: {error.strerror}") from None
+        raise InputError(f"{case}: cannot be read: {error.strerror}", "a-file-that-cannot-be-read") from None
     shipped = shipped_cases()
     if str(case) in shipped:
         return shipped[str(case)]
-    close = difflib.get_close_matches(path.stem, shipped, 1)
-    hint = f"; did you mean {close[0]!r}?" if close else ""
+    names = {name: name for name in shipped}
+    with suppress(OSError, ValueError):  # a folder that may not be entered, a NUL
+        names |= {beside.stem: str(beside) for beside in path.parent.glob("*.toml")}
+    hint = did_you_mean(path.stem, names)
+    folder = " (it is a folder)" if case and path.is_dir() else ""
     raise InputError(
-        f"{case}: no such file, nor a case that comes with the package{hint} (they are: {', '.join(shipped)})"
+        f"{case}: no such file{folder}, nor a case that comes with the package{hint} (they are: {', '.join(shipped)})",
+        "a-case-that-is-not-there",
     )
+
+
+def to_toml(content: Mapping[str, Any]) -> str:
+    """TOML text of a resolved case."""
+    return tomli_w.dumps(dict(content))

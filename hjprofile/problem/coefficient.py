@@ -107,7 +107,8 @@ def stored_coefficient(result: str | Path, base: Path = Path()) -> Coefficient:
         with netcdf_file(path, "r", mmap=False) as file:
             time, x, K = (np.array(file.variables[name][:], dtype=float) for name in ("time", "x", "K"))
     except OSError as error:
-        raise InputError(f"result = {str(result)!r} is not a result folder: {path} cannot be read: {error}") from None
+        why = error.strerror or error
+        raise InputError(f"result = {str(result)!r} is not a result folder: {path} cannot be read: {why}") from None
     except (ValueError, LookupError, TypeError, AttributeError) as error:
         raise InputError(f"result = {str(result)!r}: {path} is not a stored run: {type(error).__name__}") from None
     if K.shape != (time.size, x.size) or not time.size or x.size < 2 or not np.all(K > 0.0):

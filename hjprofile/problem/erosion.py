@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import Chebyshev
 
-from hjprofile.errors import InputError
+from hjprofile.errors import InputError, did_you_mean
 from hjprofile.problem.expressions import arithmetic
 
 Array = np.ndarray
@@ -25,6 +26,8 @@ Function = Callable[[Any], Any]
 NEAR_ZERO = (
     0.05  # |q| below which q/f(q) is read from a polynomial: there f may be a difference of numbers of order one
 )
+# headings of the page on errors
+UNREADABLE, PYTHON, NO_LAW = "a-file-that-cannot-be-read", "a-python-file", "what-a-law-must-be"
 LINEAR = "linear"  # the growth of a law outside [eq:f]
 FAR = 1e100, 1e50, 1e30, 1e15  # slopes at which f' is looked for its limit: the largest where f is finite, and the next
 FARTHEST = 1e5  # slopes beyond which f - q f' of a law of linear growth is taken as constant
@@ -229,9 +232,13 @@ def require_file(path: Path) -> None:
     try:
         there = path.is_file()
     except OSError as error:  # a name too long, a folder that may not be entered
-        raise InputError(f"file = {str(path)!r} cannot be read: {error.strerror}") from None
+        raise InputError(f"file = {str(path)!r} cannot be read: {error.strerror}", UNREADABLE) from None
     if not there:
-        raise InputError(f"file = {str(path)!r} does not exist, or is not a file")
+        beside: list[str] = []
+        with suppress(OSError, ValueError, NotImplementedError):  # no such folder, one that may not be entered, a NUL
+            beside = [other.name for other in path.parent.glob(f"*{path.suffix}") if other.is_file()]
+        hint = did_you_mean(path.name, beside)
+        raise InputError(f"file = {str(path)!r} does not exist, or is not a file{hint}", UNREADABLE)
 
 
 def load_function(path: Path, function: str) -> Function:
@@ -239,15 +246,15 @@ def load_function(path: Path, function: str) -> Function:
     require_file(path)
     spec = importlib.util.spec_from_file_location(f"hjprofile_user_{path.stem}", path)
     if spec is None or spec.loader is None:
-        raise InputError(f"file = {str(path)!r} is not a Python file (.py)")
+        raise InputError(f"file = {str(path)!r} is not a Python file (.py)", PYTHON)
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
-        raise InputError(f"file = {str(path)!r} could not be run: {type(error).__name__}: {error}") from error
+        raise InputError(f"file = {str(path)!r} could not be run: {type(error).__name__}: {error}", PYTHON) from error
     f = getattr(module, function, None)
     if not callable(f):
-        raise InputError(f"function = {function!r} is not defined in {path.name}")
+        raise InputError(f"function = {function!r} is not defined in {path.name}", PYTHON)
     return f
 
 
@@ -277,6 +284,9 @@ def _slope_at_infinity(law: ErosionLaw) -> float:
     return float(mean[0]) if settled else 0.0
 
 
+CONCAVE = "f must be concave: each further bit of steepness adds less"
+
+
 def check_assumptions(law: ErosionLaw, growth: str | None = None) -> None:
     """Raises InputError naming the assumption that the law breaks, of [eq:f] or of growth "linear", and a q where."""
     v = np.linspace(np.log(1e-8), np.log(1e8), 4001)  # ln(1+q)
@@ -288,11 +298,16 @@ def check_assumptions(law: ErosionLaw, growth: str | None = None) -> None:
     except Exception as error:
         raise InputError(f"the law cannot be evaluated: {type(error).__name__}: {error}") from error
 
-    def refuse(assumption: str, where: float) -> None:
-        raise InputError(f"the law is not an erosion function: {assumption} fails at q = {where:.10g}")
+    def refuse(assumption: str, where: float, because: str) -> None:
+        raise InputError(
+            f"the law is not an erosion function: {assumption} fails at q = {where:.10g}; {because}", NO_LAW
+        )
 
     if not np.isfinite(f0) or abs(f0) > 1e-12:
-        raise InputError(f"the law is not an erosion function: f(0) = 0 fails at q = 0, where f = {f0:.6g}")
+        because = "at the critical slope nothing erodes or settles" if np.isfinite(f0) else "f must be a number there"
+        raise InputError(
+            f"the law is not an erosion function: f(0) = 0 fails at q = 0, where f = {f0:.6g}; {because}", NO_LAW
+        )
     limit = 0.0
     if growth == LINEAR:
         limit = _slope_at_infinity(law)
@@ -305,26 +320,34 @@ def check_assumptions(law: ErosionLaw, growth: str | None = None) -> None:
     # A derivative found by differences carries rounding of about 1e-14 f/(1+q); far below it nothing can be said.
     resolved = np.abs(df) > 1e-9 * np.abs(f) / (1 + q)
     flat = (df <= 0) & (resolved | (q < 20))
+    if limit and flat.any():
+        refuse("f'' < 0", q[np.argmax(flat)], CONCAVE)
+    middle = v.size // 2  # q = 0
+    if 0 < df[middle] * (1 + 1e-6) < df[middle + 1]:
+        refuse("f'' < 0", 0.0, CONCAVE)
     if flat.any():
-        refuse("f'' < 0" if limit else "f' > 0", q[np.argmax(flat)])
+        turned = df[middle] < 0 and "its sign is wrong, f must be positive where q > 0"
+        refuse("f' > 0", q[np.argmax(flat)], turned or "f must increase: a steeper slope erodes more")
     rising = (df[1:] >= df[:-1] * (1 - 1e-10)) & resolved[1:] & resolved[:-1]
 
     def refuse_convexity(within: Array) -> None:
         at = np.flatnonzero(rising & within)
         if at.size:
-            refuse("f'' < 0", q[at[np.argmin(np.abs(v[at]))]])
+            refuse("f'' < 0", q[at[np.argmin(np.abs(v[at]))]], CONCAVE)
 
     # (1+q) f' is the slope of f in ln(1+q): where it dies out towards q = -1, f has a finite limit there.
     slope = (1 + q) * df
     if slope[0] < 0.5 * np.interp(np.log(1e-4), v, slope):
-        refuse("f -> -infinity as q -> -1", q[0])
+        refuse("f -> -infinity as q -> -1", q[0], "no slope may become flat, so f falls without bound, as q/(1+q) does")
     refuse_convexity(q[1:] < 100)
     broken = ~(np.isfinite(f) & np.isfinite(df))
     if broken.any():
-        refuse("that f is finite with a derivative for every q > -1", q[np.argmax(broken)])
+        where = q[np.argmax(broken)]
+        refuse("that f is finite with a derivative for every q > -1", where, "any slope may occur on the way")
     if not limit and df[-1] > 0.5 * np.interp(np.log(1e4), v, df):
         raise InputError(
             "the law is not an erosion function: f(q)/q -> 0 as q -> infinity (sublinear growth) fails at "
-            f"q = {q[-1]:.10g}; a law whose slope f' tends to a positive limit is admitted with growth = 'linear'"
+            f"q = {q[-1]:.10g}; a law whose slope f' tends to a positive limit is admitted with growth = 'linear'",
+            NO_LAW,
         )
     refuse_convexity(q[1:] >= 100)

@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hjprofile.errors import InputError
+from hjprofile.errors import InputError, did_you_mean
 
+ABOUT = "an-expression"  # heading of the page on errors
 _FUNCTIONS = {name: getattr(np, name) for name in ("exp", "log", "log1p", "expm1", "sqrt")}
 _NODES = (
     ast.Expression, ast.BinOp, ast.UnaryOp, ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.UAdd, ast.USub,
@@ -40,7 +41,7 @@ def arithmetic(text: str, *variables: str) -> Arithmetic:
     """
     allowed = f"allowed are numbers, {', '.join(variables)}, + - * / ** and the functions {', '.join(_FUNCTIONS)}"
     if len(text) > 1000:
-        raise InputError(f"expression is {len(text)} characters long; at most 1000 are allowed")
+        raise InputError(f"expression is {len(text)} characters long; at most 1000 are allowed", ABOUT)
     used = set()
     try:
         with warnings.catch_warnings():
@@ -59,13 +60,17 @@ def arithmetic(text: str, *variables: str) -> Arithmetic:
                 fine = isinstance(node.func, ast.Name) and len(node.args) == 1 and not node.keywords
             if not fine:
                 part = ast.unparse(node) or type(node).__name__
-                raise InputError(f"expression = {text!r} contains {part!r}; {allowed}")
+                hint = did_you_mean(part, variables)
+                if isinstance(node, ast.BitXor):
+                    part, hint = "^", " (a power is written **);"
+                raise InputError(f"expression = {text!r} contains {part!r}{hint or ';'} {allowed}", ABOUT)
         tree = ast.fix_missing_locations(_FloatConstants().visit(tree))
         code = compile(tree, "<expression>", "eval")
     except (SyntaxError, RecursionError, MemoryError, OverflowError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"expression = {text!r} is not an arithmetic expression; {allowed}") from None
+        hint = "is not an arithmetic expression (products are written with *)"
+        raise InputError(f"expression = {text!r} {hint}; {allowed}", ABOUT) from None
 
     def value(*arguments: Any) -> Any:
         arrays = [np.asarray(a, dtype=float) for a in arguments]

@@ -10,6 +10,8 @@ from hjprofile.errors import InputError
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.profiles import TAIL, Bumps, Given, Kinks, Points, Profile
 
+ABOUT = "the-whole-line"  # heading of the page on errors
+
 
 def moved(profile: Profile, distance: float) -> Profile:
     """The profile `distance` further to the right. Raises InputError for one that belongs to the half line."""
@@ -22,7 +24,7 @@ def moved(profile: Profile, distance: float) -> Profile:
             return replace(profile, x=profile.x + distance)
         case Given():
             return replace(profile, u=lambda x: profile.u(x - distance) + distance)
-    raise InputError(f"kind = {profile.table['kind']!r} belongs to the half line; line = 'whole' cannot take it")
+    raise InputError(f"kind = {profile.table['kind']!r} belongs to the half line; line = 'whole' cannot take it", ABOUT)
 
 
 def tail(profile: Profile, right: float, law: ErosionLaw) -> float:
@@ -43,6 +45,7 @@ def tail(profile: Profile, right: float, law: ErosionLaw) -> float:
     if beyond > TAIL:
         raise InputError(
             f"the slope is not critical from right = {right:g} on (q or its mass is {beyond:.3g} there); "
-            "set right to more"
+            "set right to more",
+            ABOUT,
         )
     return 0.0

@@ -113,7 +113,7 @@ class Profile:
             i = int(np.argmin(np.where(np.isfinite(q), q, -np.inf)))
             raise InputError(
                 f"the profile does not rise near x = {grid.centres[i]:.6g}, where q = {q[i]:.6g}; "
-                "q must be finite and above -1 everywhere (u_x = 1 + q > 0)"
+                "q must be finite and above -1 everywhere (u_x = 1 + q > 0, uphill to the right)"
             )
 
 
@@ -384,12 +384,12 @@ class Given(Profile):
         if not np.all(np.isfinite(q)):
             i = int(np.argmin(np.isfinite(q)))
             raise InputError(f"the profile is not finite near x = {grid.centres[i]:.6g}")
+        self._check_rising(q, grid)
         if abs(q[0]) > TAIL:
             raise InputError(
                 f"the profile has q = {q[0]:.3g} at the left end x = {grid.left:g}; the slope must be critical "
                 f"(u_x = 1, q = 0 to {TAIL:g}) from there on to the left"
             )
-        self._check_rising(q, grid)
 
     @np.errstate(all="ignore")  # in branches that the function does not use; `check` looks at the values
     def W(self, x: Array, law: ErosionLaw) -> Array:

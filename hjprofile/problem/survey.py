@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,10 @@ from hjprofile.problem.profiles import Points, Profile
 from hjprofile.problem.units import Units
 
 REPAIR_SLOPE = 0.05  # least slope that a repaired survey keeps, as a fraction of the critical slope
+FAR = 3.0  # times the critical slope, or a part of it: a mean slope that is told; a metre has 3.28 feet
+ABOUT = "a-survey"  # heading of the page on errors
+FORMAT = "the-file-of-a-survey"
+DOES_NOT_RISE = "a-survey-that-does-not-rise"
 
 
 def survey(
@@ -27,9 +32,9 @@ def survey(
     """
     for name, value in (("critical_slope", critical_slope), ("length", length)):
         if not (np.isfinite(value) and value > 0):
-            raise InputError(f"{name} = {value} must be a positive number")
+            raise InputError(f"{name} = {value} must be a positive number", ABOUT)
     if repair not in (None, "isotonic"):
-        raise InputError(f"repair = {repair!r} is not known; allowed is 'isotonic'")
+        raise InputError(f"repair = {repair!r} is not known; allowed is 'isotonic'", ABOUT)
     path = (base or Path()) / file
     x, height, rows = read_survey(path)
     account = ""
@@ -37,9 +42,14 @@ def survey(
     falls = np.flatnonzero(np.diff(height) <= least * np.diff(x))
     if falls.size and repair is None:
         shown = ", ".join(f"{rows[i]}-{rows[i + 1]}" for i in falls[:5]) + (", ..." if falls.size > 5 else "")
+        if height[0] > height[-1]:
+            remedy = "this one has its top at the left, so mirror it (write -x for x, and the last row first)"
+        else:
+            most = np.max(np.abs(np.diff(height)[falls]))
+            remedy = f"there it is flat or falls, by {most:.6g} at most (correct it, or set repair = 'isotonic')"
         raise InputError(
-            f"file = {str(file)!r} does not rise in rows {shown}; a survey must rise from left to right "
-            "(mirror it if it falls throughout, or set repair = 'isotonic')"
+            f"file = {str(file)!r} does not rise in rows {shown}; a survey must rise from left to right, and {remedy}",
+            DOES_NOT_RISE,
         )
     if falls.size:
         from scipy.optimize import isotonic_regression
@@ -63,7 +73,14 @@ def survey(
     if not np.all(np.isfinite(q) & (q > -1.0)):
         raise InputError(
             f"file = {str(file)!r} divided by length = {length:g} and critical_slope = {critical_slope:g} leaves the "
-            "range of numbers"
+            "range of numbers",
+            ABOUT,
+        )
+    mean = float(np.ptp(height) / np.ptp(x))
+    if not 1 / FAR < mean / critical_slope < FAR:
+        account += (
+            f"{'; ' if account else ''}the mean slope {mean:.3g} is {mean / critical_slope:.3g} of the critical: are x "
+            "and height in one unit, and is critical_slope height over length, not an angle?"
         )
     return Points(
         np.repeat(xi, 2)[1:-1], np.repeat(q, 2), source=table, units=units, height=float(u[0] - xi[0]), account=account
@@ -80,27 +97,45 @@ def read_survey(path: str | Path) -> tuple[Array, Array, list[int]]:
     try:
         with open(path, newline="", encoding="utf-8-sig") as stream:
             lines = [(n, row) for n, row in enumerate(csv.reader(stream), start=1) if row and row[0].strip()[:1] != "#"]
-    except (OSError, ValueError, csv.Error) as error:  # ValueError: bytes that are not UTF-8
-        raise InputError(f"file = {str(path)!r} cannot be read as CSV: {error}") from None
+    except (OSError, csv.Error) as error:
+        raise InputError(f"file = {str(path)!r} cannot be read as CSV: {error}", ABOUT) from None
+    except ValueError as error:
+        message = f"file = {str(path)!r} cannot be read as CSV: {error}; save it as text in UTF-8"
+        raise InputError(message, FORMAT) from None
     if not lines or [c.strip() for c in lines[0][1]] != ["x", "height"]:
         found = ",".join(lines[0][1]) if lines else "nothing"
-        raise InputError(f"file = {str(path)!r} must begin with the header 'x,height', not {found!r}")
+        message = f"file = {str(path)!r} must begin with the header 'x,height', not {found[:60]!r}"
+        raise InputError(f"{message}; {_what_a_header_is(found)}", FORMAT)
     rows: list[int] = []
     values: list[tuple[float, float]] = []
     for n, row in lines[1:]:
         try:
             x, height = (float(c) for c in row)
         except ValueError:
-            raise InputError(f"file = {str(path)!r} row {n}: {','.join(row)!r} must be two numbers") from None
+            remedy = "a comma between them, points for decimals, no unit; a row without a height is left out"
+            message = f"file = {str(path)!r} row {n}: {','.join(row)!r} must be two numbers ({remedy})"
+            raise InputError(message, FORMAT) from None
         if not (np.isfinite(x) and np.isfinite(height)):
-            raise InputError(f"file = {str(path)!r} row {n}: {','.join(row)!r} must be finite")
+            message = f"file = {str(path)!r} row {n}: {','.join(row)!r} must be finite; leave out what was not measured"
+            raise InputError(message, FORMAT)
         if values and x <= values[-1][0]:
             raise InputError(
-                f"file = {str(path)!r} row {n}: x = {x:g} must be greater than the x = {values[-1][0]:g} before it"
+                f"file = {str(path)!r} row {n}: x = {x:g} must be greater than the x = {values[-1][0]:g} before it; "
+                "sort the rows by x, and keep one height for each",
+                "a-survey-whose-x-does-not-increase",
             )
         rows.append(n)
         values.append((x, height))
     if len(values) < 2:
-        raise InputError(f"file = {str(path)!r} has {len(values)} points; a survey needs at least 2")
+        raise InputError(f"file = {str(path)!r} has {len(values)} points; a survey needs at least 2", ABOUT)
     x, height = np.array(values).T
     return x, height, rows
+
+
+def _what_a_header_is(found: str) -> str:
+    """What is wrong with a header, as far as it can be guessed."""
+    if re.search(r"[;\t]", found):
+        return "columns are separated by commas, and decimals have a point"
+    if re.search(r"\b(m|km|ft|feet|foot|in|yd|metres?|meters?)\b", found.replace("_", " ")):
+        return "the header names no unit: any will do, the same for x, for height and for length"
+    return "x is the horizontal distance, growing uphill, and height the elevation, in the same unit"

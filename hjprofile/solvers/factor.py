@@ -84,7 +84,8 @@ class Factor:
         k = self.given()
         if k is None:
             kernels.exponent(law.f(q), self.grid.dx, K)
-            np.exp(K, out=K)
+            with np.errstate(over="ignore"):  # the speed is looked at below
+                np.exp(K, out=K)
         else:
             K[:] = k[0]
         speed = float(kernels.fastest(K, law.derivative(q)))

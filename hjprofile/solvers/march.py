@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Protocol
@@ -207,6 +207,7 @@ def march(
     parts: dict[str, Any] = {"pace": pace, "recorder": recorder, "scheme": scheme, "factor": factor, **monitors}
     targets, due = _targets(problem, factor.refresh)
     bound, dt, status, held = 0.0, 0.0, "done", factor.held
+    seen = dict.fromkeys(monitors, -1.0)  # when each monitor looked last
 
     def present(t: float, steps: int, speed: float) -> State:
         first, q = scheme.means()
@@ -232,8 +233,9 @@ def march(
         factor.t, factor.held = pace.t, held
 
     def watch(state: State, every: bool = False) -> None:
-        for monitor in monitors.values():
+        for name, monitor in monitors.items():
             if every or monitor.wants(state):
+                seen[name] = state.t
                 monitor.observe(state)
         if progress:
             progress(pace.t / problem.end if problem.end else 1.0)
@@ -322,8 +324,14 @@ def march(
         except _StepTooSmall:
             scheme.evaluate()
             status = _small_step_sentence(scheme, problem, grid, pace.t, dt, pace.speed)
-    if status != "done" and (not recorder.rows or recorder.columns[0][recorder.rows - 1] < pace.t):
-        recorder.save(pace.t, scheme)
+    if status != "done":
+        if not recorder.rows or recorder.columns[0][recorder.rows - 1] < pace.t:
+            recorder.save(pace.t, scheme)
+        dt = 0.0  # no step led from this state to another
+        with suppress(Halt, Breakdown):  # what monitors tell of the end is told of the last good state too
+            last = present(pace.t, pace.steps, pace.speed)
+            for monitor in (m for name, m in monitors.items() if seen[name] < pace.t):
+                monitor.observe(last)
     times, W, q, K = (column[: recorder.rows] for column in recorder.columns)
     return Recording(times, W, q, K, status, pace.steps, (float(pace.shortest), float(pace.longest)), pace.seconds)
 

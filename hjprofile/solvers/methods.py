@@ -112,15 +112,18 @@ def check_method(case: Case) -> None:
     try:
         _known(case.method, METHODS)
         if case.tolerance is not None and case.method not in ("characteristics", "auto"):
-            raise InputError(f"tolerance applies to the methods characteristics and auto, not to {case.method}")
+            raise InputError(
+                f"tolerance applies to the methods characteristics and auto, not to {case.method}; "
+                "leave it out, or set method = 'auto'"
+            )
         most = COARSEST if case.method == "characteristics" else 1.0
         if case.tolerance is not None and not FINEST <= case.tolerance <= most:
             raise InputError(f"tolerance = {case.tolerance:g} must lie between {FINEST:g} and {most:g}")
         if case.tolerance is None and case.method == "auto":
-            raise InputError("method = 'auto' needs a tolerance")
+            raise InputError("method = 'auto' needs a tolerance: the largest error of u that will do")
         case.problem.check_method(case.method, case.refresh)
     except InputError as error:
-        raise InputError(f"{case.source}: [solver] {error}") from None
+        raise InputError(f"{case.source}: [solver] {error}", about="method-and-tolerance") from None
 
 
 def solve_case(case: Case, progress: Progress | None = None, strict: bool = False, keeper: Keeper | None = None) -> Run:

@@ -4,13 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
+import hjprofile
+from hjprofile.problem.case import to_toml
 from hjprofile.problem.units import Units
 
+if TYPE_CHECKING:
+    import xarray
+
 Array = np.ndarray
+
+FIELDS: dict[str, tuple[tuple[str, ...], dict[str, str]]] = {  # name -> dimensions, CF attributes
+    "time": (("time",), {"long_name": "mass of grains poured in", "units": "1", "axis": "T"}),
+    "x": (("node",), {"long_name": "distance from the top of the slope, uphill positive", "units": "1", "axis": "X"}),
+    "x_cell": (("cell",), {"long_name": "midpoints of the cells", "units": "1"}),
+    "u": (("time", "node"), {"long_name": "height of the standing profile", "units": "1"}),
+    "q": (("time", "cell"), {"long_name": "excess slope du/dx - 1, mean over the cell", "units": "1"}),
+    "K": (("time", "node"), {"long_name": "nonlocal factor: thickening of the avalanche", "units": "1"}),
+}
+UNITS = ("length", "critical_slope", "x_top", "height_top")
 
 
 class State(NamedTuple):
@@ -200,6 +215,24 @@ class Run:
     @property
     def cells(self) -> int:
         return self.x_cell.size
+
+    @property
+    def attributes(self) -> dict[str, str | float]:
+        """What `profile.nc` and `to_xarray` say of the run as a whole: its case as TOML, the units of a survey, ..."""
+        text = {"Conventions": "CF-1.8", "title": self.title, "method": self.method, "status": self.status}
+        text |= {"case": to_toml(self.case), "hjprofile_version": hjprofile.__version__}
+        return text | ({name: getattr(self.units, name) for name in UNITS} if self.units else {})
+
+    def to_xarray(self) -> xarray.Dataset:
+        """u, q and K over `time` and `node` or `cell`, with `x` and `x_cell`: what `xarray` reads from `profile.nc`.
+
+        Needs xarray, which hjprofile does not bring along. The arrays are shared with the run, not copied.
+        """
+        import xarray
+
+        arrays = {name: (dims, getattr(self, name), about) for name, (dims, about) in FIELDS.items()}
+        coordinates = {name: arrays.pop(name) for name in ("time", "x", "x_cell")}
+        return xarray.Dataset(arrays, coordinates, self.attributes)
 
     def kinks_at(self, index: int) -> list[KinkRecord]:
         """The kinks at the saved time `self.time[index]`, from left to right."""

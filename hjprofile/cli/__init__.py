@@ -1,0 +1,70 @@
+"""The command line: one function a command; each parses, calls the library and says what came of it."""
+
+from __future__ import annotations
+
+import gc
+import os
+import sys
+from typing import NoReturn
+
+from cyclopts import CycloptsError
+
+import hjprofile.cli.results
+import hjprofile.cli.solving
+import hjprofile.cli.studies  # noqa: F401  each has commands
+from hjprofile.cli.common import app
+from hjprofile.errors import PAGE, InputError, RunError
+
+# command -> heading of PAGE, for a sentence that has none of its own; the other commands ask whether it is right
+_ABOUT = {
+    "run": "a-run-that-stops",
+    "sweep": "a-sweep",
+    "fit": "a-fit",
+    "plot": "a-result-folder",
+    "export": "a-result-folder",
+}
+
+
+def main(arguments: list[str] | None = None) -> NoReturn:
+    """Runs a command; 0 done, 1 the run or a check failed, 2 wrong usage or bad input. Never a traceback for these."""
+    if arguments is None:  # a process of its own, whose imports would be searched for garbage again and again
+        gc.disable()
+    try:
+        app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+        sys.stdout.flush()
+    except CycloptsError as error:
+        _leave(f"hjprofile: {error}", 2, "the-command-line")
+    except (InputError, RunError) as error:
+        command = (sys.argv[1:] if arguments is None else arguments)[0]
+        about = error.about or _ABOUT.get(command, "a-check-or-a-study")
+        _leave(f"hjprofile: {error}", 2 if isinstance(error, InputError) else 1, about)
+    except MemoryError:
+        _leave("hjprofile: the machine's memory is not enough; use fewer cells or snapshots", 1, "memory")
+    except BrokenPipeError:  # whoever read stdout has left; nor is there anything to say when Python flushes at exit
+        _drop_stdout()
+        sys.exit(1)
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        _leave(f"hjprofile: {where}{error.strerror or error}; nothing was left half-written", 1, "a-place-to-write")
+    except KeyboardInterrupt:
+        try:
+            _leave("hjprofile: interrupted; nothing was left half-written", 1, "interrupted")
+        finally:
+            if arguments is None:  # Python would end with the signal instead if it came while a module ran exec()
+                os._exit(1)
+    sys.exit(0)
+
+
+def _leave(sentence: str, code: int, about: str) -> NoReturn:
+    """Says a sentence, and under which heading of PAGE there is more of it."""
+    try:
+        sys.stdout.flush()
+    except OSError:  # a full disk: the sentence below says so, or says what matters more
+        _drop_stdout()
+    print(" ".join(sentence.split()), f"({PAGE}#{about})", file=sys.stderr)
+    sys.exit(code)
+
+
+def _drop_stdout() -> None:
+    """Lets go of what stdout still holds and cannot write, which Python would try again at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

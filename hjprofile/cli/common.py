@@ -1,0 +1,118 @@
+"""What all commands share: the application, their options, progress, and the two ways of answering."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import App, Parameter
+
+import hjprofile
+
+if TYPE_CHECKING:
+    from hjprofile.problem.case import Case
+
+app = App(
+    name="hjprofile",
+    version=hjprofile.__version__,
+    help_format="plaintext",
+    default_parameter=Parameter(negative="", show_default=False),
+    suppress_keyboard_interrupt=False,  # `main` has a sentence for it
+    help="Slow erosion of granular slopes: a nonlocal Hamilton-Jacobi equation and its cross-checks.",
+)
+app.register_install_completion_command(help="Complete commands and options in this shell (bash, zsh, fish).")
+
+
+def _whole(_: Any, tokens: Any) -> int:
+    """cyclopts would round 60.7 cells to 61."""
+    try:
+        return int(tokens[0].value)
+    except ValueError:
+        raise ValueError(f"{tokens[0].value[:40]!r} is not a whole number") from None
+
+
+CasePath = Annotated[Path, Parameter(help="A TOML file, or a name that `hjprofile cases` lists.")]
+After = Annotated[Path, Parameter(help="The survey afterwards: a CSV file with the header x,height.")]
+Cells = Annotated[int | None, Parameter(converter=_whole, help="Number of grid cells, instead of the case's.")]
+Method = Annotated[str | None, Parameter(help="Solver method, instead of the case's; a wrong name lists them all.")]
+Cfl = Annotated[float | None, Parameter(help="Time step as a part of the largest monotone one.")]
+Tolerance = Annotated[float | None, Parameter(help="Largest error of u; takes the method auto if none is named.")]
+End = Annotated[float | None, Parameter(help="Mass of grains poured in at which the run ends.")]
+Resume = Annotated[bool, Parameter(help="Go on from the checkpoint in the folder for the results.")]
+Strict = Annotated[bool, Parameter(help="Stop, as a failure, where a bound is broken.")]
+Fitted = Annotated[list[str], Parameter(help="A parameter to fit by its key, as in time.end; once for each.")]
+Sigma = Annotated[float | None, Parameter(help="Standard deviation of a measured height; else from the residuals.")]
+Out = Annotated[Path | None, Parameter(help="Folder for the results; results/<case name> by default.")]
+Into = Annotated[Path | None, Parameter(help="Folder for the files; the result's own by default.")]
+
+Vary = Annotated[list[str], Parameter(help="A key of the case and its values: erosion.m=0.5,1,2. May be repeated.")]
+Workers = Annotated[
+    int | None, Parameter(converter=_whole, help="Number of processes; one for each processor by default.")
+]
+Kept = Annotated[bool, Parameter(help="Do not run again what is done in the folder for the results.")]
+Json = Annotated[bool, Parameter(help="Print one JSON document, for scripts, instead of lines to read.")]
+
+
+def say(json: bool, text: str) -> None:
+    """A line or more for a reader, on stdout."""
+    if not json:
+        print(text)
+
+
+def answer(json: bool, document: Mapping[str, Any]) -> None:
+    """The same for a script, once a command: what a reader was told, with all digits."""
+    if json:
+        from hjprofile.output.store import to_json
+
+        print(to_json(document), end="")
+
+
+def load_cases(names: tuple[Path, ...], out: Path | None) -> tuple[Path, list[Case]]:
+    """The cases, and the folder for what comes of them all."""
+    from hjprofile.problem.case import load_case
+
+    loaded = [load_case(name) for name in names]
+    return out or (Path("results") / loaded[0].name if len(loaded) == 1 else Path("results")), loaded
+
+
+def listing(folder: Path, files: list[Path]) -> str:
+    """File names, with folders as a count."""
+    names = [f.relative_to(folder).as_posix() for f in files]
+    flat = [n for n in names if "/" not in n]
+    if len(flat) > 12:
+        flat = [f"{len(flat)} files"]
+    inside: dict[str, int] = {}
+    for n in names:
+        if "/" in n:
+            inside[n.split("/")[0]] = inside.get(n.split("/")[0], 0) + 1
+    return ", ".join(flat + [f"{name}/ ({count} files)" for name, count in inside.items()])
+
+
+class Progress:
+    """A bar with the time that is left, on stderr, for what takes longer than a second on a terminal."""
+
+    def __init__(self, label: str):
+        self.label, self.started = label, time.monotonic()
+        self.bar: Any = None
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __call__(self, fraction: float) -> None:
+        if self.bar is None:
+            if not sys.stderr.isatty() or time.monotonic() - self.started < 1.0:
+                return
+            from rich.console import Console
+            from rich.progress import Progress as Bar
+
+            self.bar = Bar(console=Console(stderr=True), transient=True)
+            self.task = self.bar.add_task(self.label, total=1.0)
+            self.bar.start()
+        self.bar.update(self.task, completed=fraction)
+
+    def __exit__(self, *_: Any) -> None:
+        if self.bar is not None:
+            self.bar.stop()

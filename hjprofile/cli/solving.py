@@ -1,0 +1,182 @@
+"""Commands that solve cases: run, sweep, fit; and those that tell which cases there are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hjprofile.cli.common import (
+    After,
+    CasePath,
+    Cells,
+    Cfl,
+    End,
+    Fitted,
+    Json,
+    Kept,
+    Method,
+    Out,
+    Progress,
+    Resume,
+    Sigma,
+    Strict,
+    Tolerance,
+    Vary,
+    Workers,
+    answer,
+    app,
+    listing,
+    load_cases,
+    say,
+)
+from hjprofile.errors import RunError
+
+if TYPE_CHECKING:
+    from hjprofile.solvers.run import Run
+
+
+@app.command
+def run(
+    case: CasePath,
+    /,
+    *,
+    method: Method = None,
+    cells: Cells = None,
+    cfl: Cfl = None,
+    tolerance: Tolerance = None,
+    end: End = None,
+    strict: Strict = False,
+    resume: Resume = False,
+    out: Out = None,
+    json: Json = False,
+) -> None:
+    """Solve a case and write its result folder."""
+    from hjprofile.output.checkpoint import Checkpoint
+    from hjprofile.output.store import open_folder, summary, write_run
+    from hjprofile.output.workers import drawing_helper
+    from hjprofile.problem.case import load_case
+
+    if tolerance is not None and method is None:
+        method = "auto"
+    solver = {"solver.method": method, "solver.cfl": cfl, "solver.tolerance": tolerance}
+    asked = solver | {"domain.cells": cells, "time.end": end}
+    loaded = load_case(case, {key: value for key, value in asked.items() if value is not None})
+    folder = out or Path("results") / loaded.name
+    with drawing_helper(loaded.plots) as helper:
+        from hjprofile.solvers.methods import check_method, solve_case
+
+        check_method(loaded)
+        open_folder(folder)
+        checkpoint = Checkpoint(folder, loaded.checkpoint, resume)
+        with Progress("eroding") as progress:
+            result = solve_case(loaded, progress, strict, checkpoint)
+        files = write_run(result, folder, loaded.vtk, loaded.plots, helper)
+        checkpoint.discard()
+    say(json, _account(result))
+    if checkpoint.resumed_at is not None:
+        say(json, f"  resumed     from the checkpoint at t = {checkpoint.resumed_at:.6g}")
+    elif resume:
+        say(json, "  resumed     not: there was no checkpoint, so from the start")
+    say(json, f"  written     {folder}: {listing(folder, files)}")
+    answer(json, summary(result) | {"resumed_at": checkpoint.resumed_at, "files": files})
+    if not result.done:
+        raise RunError(f"{loaded.source}: {result.status}; the last good state is in {folder}")
+
+
+@app.command
+def sweep(
+    case: CasePath, /, *, vary: Vary, workers: Workers = None, resume: Kept = False, out: Out = None, json: Json = False
+) -> None:
+    """Solve a case for every choice of values of some of its keys, and write one table.
+
+    Writes sweep.csv and sweep.nc; ends with exit code 1 if no member could be solved.
+    """
+    from hjprofile.output.sweep import account, report
+    from hjprofile.output.sweep import sweep as run_sweep
+    from hjprofile.output.workers import processes
+    from hjprofile.problem.case import find_case, read_choices
+
+    choices = read_choices(vary)
+    folder = out or Path("results") / find_case(case).stem
+    with processes(workers) as executor, Progress("sweeping") as progress:
+        result = run_sweep(case, choices, executor, folder, resume, progress)
+    say(json, account(result))
+    say(json, f"written to {folder}: sweep.csv, sweep.nc")
+    answer(json, report(result) | {"files": [folder / "sweep.csv", folder / "sweep.nc"]})
+    if not any(outcome.done for outcome in result.outcomes):
+        raise RunError(f"{case}: no member could be solved; the reasons are in {folder / 'sweep.csv'}")
+
+
+@app.command
+def fit(
+    case: CasePath, after: After, /, *, vary: Fitted, sigma: Sigma = None, out: Out = None, json: Json = False
+) -> None:
+    """Fit parameters of a case to a survey made afterwards, with 95 % intervals.
+
+    The case's own profile is the survey before. Writes fit.json, fit.png and fitted.toml, the case with the fitted
+    values.
+    """
+    from hjprofile.evidence.calibration import fit as fit_case
+    from hjprofile.output.fit_files import fit_account, fit_files, fit_report
+    from hjprofile.output.store import open_folder, write_whole
+    from hjprofile.problem.survey import read_survey
+
+    folder, (loaded,) = load_cases((case,), out)
+    x, height, _ = read_survey(after)
+    found = fit_case(loaded.source, x, height, vary, sigma)
+    open_folder(folder)
+    files = fit_files(found)
+    for name, data in files.items():
+        write_whole(folder / name, data)
+    say(json, fit_account(found))
+    say(json, f"  written     {folder}: {', '.join(files)}")
+    answer(json, fit_report(found) | {"files": [folder / name for name in files]})
+
+
+@app.command
+def cases(*, json: Json = False) -> None:
+    """List the cases that come with the package."""
+    import tomllib
+
+    from hjprofile.problem.case import shipped_cases
+
+    shipped = shipped_cases()
+    titles = {name: tomllib.loads(path.read_text(encoding="utf-8")).get("title", "") for name, path in shipped.items()}
+    width = max(map(len, shipped), default=0)
+    say(json, "\n".join(f"{name:{width}}  {title}" for name, title in titles.items()))
+    answer(json, {"cases": [{"case": n, "title": title, "file": shipped[n]} for n, title in titles.items()]})
+
+
+def _account(run: Run) -> str:
+    """A few lines on what was solved and how it went."""
+    eroded = run.eroded_volume
+    volume = f"volume {abs(eroded):.6g} {'eroded' if eroded >= 0 else 'deposited'} on balance"
+    poured = ""
+    if run.units:
+        volume += f" ({abs(eroded) * run.units.volume:.4g} in the survey's units, per unit width)"
+        poured = f" = {run.time[-1] * run.units.volume:.4g} in the survey's units"
+    count = {kind: sum(e.event == kind for e in run.events) for kind in ("birth", "merge", "exit")}
+    plural = {"birth": "births", "merge": "merges", "exit": "exits"}
+    events = ", ".join(f"{n} {plural[kind] if n != 1 else kind}" for kind, n in count.items())
+    mass, budget = run.bounds["mass_budget"], run.bounds.get("volume_budget")
+    lines = [
+        run.title,
+        f"  solved      {run.method}, {run.cells} cells, {run.steps} steps in {run.wall_seconds:.2g} s "
+        f"to t = {run.time[-1]:g}{poured}",
+        f"  eroded      {volume}",
+        f"  kinks       {len(run.kinks_at(0))} at t = {run.time[0]:g}, {len(run.kinks_at(-1))} at the end; {events}",
+        f"  budgets     mass {f'to {mass.allowance}' if mass.holds else 'NOT KEPT'}; "
+        + (f"volume to {run.volume_budget_error:.2g} ({budget.allowance})" if budget else "none of volume promised"),
+        f"  bounds      {'all hold' if not run.warnings else 'NOT HELD:'}",
+        *(f"  WARNING     {warning}" for warning in run.warnings),
+    ]
+    if run.vertical_steps is not None:
+        broke, now = (sum(e.event == "blow-up" for e in run.events), run.steps_at(-1))
+        tallest = f"; the tallest is {max(s.height for s in now):.4g} high" if now else ""
+        lines.insert(4, f"  steps       {len(now)} vertical at the end, {broke} blow-up{'s' * (broke != 1)}{tallest}")
+    if run.error_estimate is not None:
+        lines.append(f"  error       of u at most {run.error_estimate:.2g}, by estimate")
+    if run.account:
+        label = "chosen" if run.case["solver"]["method"] == "auto" else "data"
+        lines.insert(1, f"  {label:11} {run.account}")
+    return "\n".join(lines)
