@@ -21,7 +21,7 @@ def vectorised(function):
 
 
 def by_type(choose):
-    """For compiled loops: the function that `choose` makes of the types of the arguments, the one that suits them."""
+    """A function for compiled loops whose code is chosen by type: `choose` takes the types of the arguments."""
 
     @wraps(choose)
     def chosen(*arguments):
