@@ -17,6 +17,7 @@ ONLY_IN = {  # package -> the modules and rooms that may import it
     "pyvista": ("output.vtk",),
     "vtkmodules": ("output.vtk",),
     "matplotlib": ("output.plots",),
+    "PIL": ("output.plots",),
     "tomllib": ("problem.case", "output.store", "cli"),
     "tomli_w": ("problem.case", "output.store", "cli"),
     "cyclopts": ("cli",),

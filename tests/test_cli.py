@@ -36,7 +36,10 @@ SCENE = {
     "time": {"end": 4.0, "snapshots": 5},
 }
 BARE = {"output": {"vtk": False, "plots": False}}
-COMMANDS = ("run", "check", "chart", "stability", "dependence", "sweep", "fit", "plot", "export", "cases")
+DRAWN = [f"{name}.{form}" for name in ("profile", "diagram", "factor") for form in ("png", "svg")]
+COMMANDS = (
+    "run", "check", "chart", "stability", "dependence", "sweep", "fit", "plot", "compare", "animate", "export", "cases"
+)  # fmt: skip
 
 
 def write_case(folder, name="scene", **changes):
@@ -75,17 +78,19 @@ def test_run_then_plot_and_export_again(folder, call):
     assert "results/scene: profile.nc" in lines[6] and "vtk/ (13 files)" in lines[6] and "profile.png" in lines[6]
 
     # from the folder alone, into it or elsewhere, to the byte
-    for file in ("profile.png", "vtk/profile_0002.vtp", "vtk/kinks.pvd"):
+    for file in ("profile.png", "factor.png", "vtk/profile_0002.vtp", "vtk/kinks.pvd"):
         Path("results/scene", file).unlink()
     code, out, err = call("plot", "results/scene")
-    assert (code, err, out.split()) == (0, "", ["results/scene:", "profile.png,", "diagram.png"])
+    assert (code, err, out.split()) == (0, "", ["results/scene:", *", ".join(DRAWN).split()])
     code, out, err = call("export", "results/scene", "--vtk")
     assert (code, err) == (0, "") and out.startswith("results/scene/vtk: ")
-    assert contents("results/scene") == written
+    again = contents("results/scene")
+    drawn = {name: again.pop(name) for name in DRAWN if name.endswith(".svg")}
+    assert again == written
     assert call("export", "results/scene", "--vtk", "--out", "paraview")[0] == 0
     assert contents("paraview") == {name[4:]: data for name, data in written.items() if name.startswith("vtk/")}
     assert call("plot", "results/scene", "--out", "pictures")[0] == 0
-    assert contents("pictures") == {name: data for name, data in written.items() if name.endswith(".png")}
+    assert contents("pictures") == {name: data for name, data in (written | drawn).items() if name in DRAWN}
 
 
 def test_options_override_the_case(folder, call):

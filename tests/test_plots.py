@@ -1,17 +1,22 @@
-"""Pictures: true PNGs with something in them, for every kind of run; labelled axes; kinks where they are."""
+"""Pictures of a run: true files with something in them, for every kind of run; legible; kinks where they are."""
 
 import dataclasses
 import io
+import xml.etree.ElementTree as ET
 from functools import lru_cache
 
 import numpy as np
 import pytest
 from matplotlib import image
+from matplotlib.text import Text
 
 import hjprofile as hj
-from hjprofile.output.plots import draw_diagram, draw_profiles, pictures
+from hjprofile.evidence.tracing import traceable_law
+from hjprofile.output.plots import style
+from hjprofile.output.plots.runs import draw_diagram, draw_factor, draw_profiles, pictures
 
-SIZES = {"profile.png": (1260, 1200), "diagram.png": (780, 1200)}  # rows, columns
+COLUMN = 85.0 / 25.4  # inches, of a journal
+SMALLEST = 6.0  # points that can be read there
 
 
 @lru_cache
@@ -28,17 +33,28 @@ def solved(name):
         "flat": (hj.steps([-2.0, -1.0], [0.0]), 0.5, 3),
         "survey": (None, 0.5, 6),
         "many kinks": (hj.kinks(many, 0.3 + 0.5 * np.arange(12)), 0.3, 31),
+        "steps": (hj.kinks([-3.0, -2.5], [3.0, 5.0]), 0.5, 11),
     }[name]
     if name == "survey":
         case = hj.load_case("hillslope", {"domain.cells": 520, "time.end": end, "time.snapshots": snapshots})
         return hj.solve_case(case)
+    if name == "steps":
+        law = hj.expression("q + q/(1+q)", growth="linear")
+        return hj.track_fronts(hj.Problem(law, profile, end=end, snapshots=snapshots, title="Scene: steps"), grid)
     cfl = {"failed": 3.0, "failed at once": 6.0}.get(name, cfl)
     return hj.solve_hj(hj.Problem(law, profile, end=end, snapshots=snapshots, title=f"Scene: {name}"), grid, cfl=cfl)
 
 
-SCENES = ("kinks", "no kinks", "one snapshot", "no time", "failed", "failed at once", "flat", "survey", "many kinks")
+SCENES = (
+    "kinks", "no kinks", "one snapshot", "no time", "failed", "failed at once", "flat", "survey", "many kinks", "steps"
+)  # fmt: skip
 scene = pytest.mark.parametrize("name", SCENES)
-draw = pytest.mark.parametrize("draw", [draw_profiles, draw_diagram])
+draw = pytest.mark.parametrize("draw", [draw_profiles, draw_diagram, draw_factor])
+drawings = pytest.mark.parametrize(
+    ("name", "draw"),
+    [(name, draw) for name in SCENES for draw in (draw_profiles, draw_diagram)]
+    + [(name, draw_factor) for name in ("kinks", "one snapshot", "failed", "survey", "steps")],
+)
 
 
 def test_the_scenes_are_what_they_are_called():
@@ -46,6 +62,7 @@ def test_the_scenes_are_what_they_are_called():
     assert {name for name in SCENES if not solved(name).kinks} == {"no kinks", "flat"}
     assert {name for name in SCENES if solved(name).time.size == 1} == {"one snapshot", "no time", "failed at once"}
     assert not solved("flat").q.any() and len(solved("many kinks").kinks_at(0)) == 12 and solved("survey").units
+    assert {e.event for e in solved("steps").events} >= {"blow-up"} and solved("steps").vertical_steps
 
 
 @lru_cache
@@ -60,22 +77,70 @@ def plain(figure):
     return [axes for axes in figure.axes if axes.get_label() != "<colorbar>"]
 
 
-@pytest.mark.parametrize("name", ["kinks", "failed", "flat"])
-def test_pngs(name):
-    files = pictures(solved(name))
-    assert files.keys() == SIZES.keys()
+def keys_of(figure):
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+def test_files():
+    files = pictures(solved("kinks"), ("png", "svg"))
+    assert files.keys() == {f"{p}.{form}" for p in ("profile", "diagram", "factor") for form in ("png", "svg")}
     for file, content in files.items():
-        assert content[:8] == b"\x89PNG\r\n\x1a\n"
+        if file.endswith(".svg"):
+            texts = ["".join(element.itertext()) for element in ET.fromstring(content).iter() if "text" in element.tag]
+            assert "Scene: kinks" in texts  # as text, not as outlines
+            assert len(content) < 4e5
+            continue
         rgb = image.imread(io.BytesIO(content))[..., :3]
-        assert rgb.shape == (*SIZES[file], 3)
+        assert rgb.shape[1] == style.WIDTH * style.DPI >= 300 * COLUMN  # sharp where it is printed
         assert np.mean(rgb.min(axis=-1) == 1) > 0.1  # on white paper
         # a colour bar has some 200 colours, text and frames alone are grey
         coloured = rgb[np.ptp(rgb, axis=-1) > 0.1]
         assert np.unique((coloured * 255).astype(int) @ [65536, 256, 1]).size > 100
 
 
-@scene
-@draw
+def test_the_same_run_gives_the_same_bytes():
+    run = solved("no kinks")
+    for form in ("png", "svg"):
+        assert style.encode(draw_factor(run), form) == style.encode(draw_factor(run), form)
+
+
+def letters(figure):
+    """Every text that is seen: matplotlib keeps ticks beyond the ends of an axis, and does not draw them."""
+    unseen = set()
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            low, high = sorted(axis.get_view_interval())
+            slack = 1e-9 * (high - low)
+            for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()):
+                if not low - slack <= tick.get_loc() <= high + slack:
+                    unseen |= {tick.label1, tick.label2}
+    texts = (t for t in figure.findobj(Text) if t.get_visible() and t not in unseen)
+    return [t for t in texts if t.get_text().strip()]
+
+
+def assert_legible(figure):
+    """No text is below SMALLEST points in a column, outside the paper, or on top of another or of the axes."""
+    texts = letters(figure)
+    assert {t.get_fontsize() >= SMALLEST * figure.get_figwidth() / COLUMN for t in texts} == {True}
+    assert not any("$" in t.get_text() for t in texts)  # exponents and indices would be smaller
+    boxes = [(t.get_text(), t.get_window_extent()) for t in texts]
+    paper = figure.bbox
+    for text, box in boxes:
+        assert box.x0 >= -1 and box.y0 >= -1 and box.x1 <= paper.x1 + 1 and box.y1 <= paper.y1 + 1, text
+    for i, (text, box) in enumerate(boxes):
+        on = [other for other, place in boxes[:i] if place.padded(-1.0).overlaps(box.padded(-1.0))]
+        assert not on, (text, on)
+    for axes in figure.axes:
+        frame = axes.get_window_extent().padded(-1.0)
+        assert not [text for text, box in boxes if box.overlaps(frame)]
+
+
+@drawings
+def test_legible(name, draw):
+    assert_legible(drawn(name, draw))
+
+
+@drawings
 def test_no_axes_is_empty(name, draw):
     """As many coloured pixels inside each frame as a line across it takes (the flat slope's diagram is white)."""
     figure = drawn(name, draw)
@@ -90,8 +155,7 @@ def test_no_axes_is_empty(name, draw):
             assert coloured > 0.9 * inside.shape[1]
 
 
-@scene
-@draw
+@drawings
 def test_every_axis_has_a_label(name, draw):
     figure = drawn(name, draw)
     assert len(plain(figure)) < len(figure.axes)  # there is a colour bar
@@ -101,7 +165,7 @@ def test_every_axis_has_a_label(name, draw):
         beside = axes.get_shared_x_axes().get_siblings(axes)
         labels = {other.get_xlabel() for other in beside} - {""}
         assert labels == {"x (units of the survey)" if name == "survey" else "x (in exchange lengths; the top is at 0)"}
-        assert all(tick.get_text() for tick in axes.get_yticklabels())
+        assert any(tick.get_text() for tick in axes.get_yticklabels())
 
 
 @pytest.mark.parametrize(("name", "time"), [("one snapshot", 0.3), ("no time", 0.0), ("failed at once", 0.0)])
@@ -117,50 +181,54 @@ def test_a_survey_is_drawn_in_its_own_units(draw):
     assert (left, right) == pytest.approx((run.units.x(run.x[0]), run.units.x_top), rel=1e-15)
     if draw is draw_profiles:
         top = plain(drawn("survey", draw))[0]
-        assert top.get_ylabel() == "height (units of the survey)"
+        assert top.get_ylabel() == "height (survey)"
         assert top.lines[0].get_ydata()[-1] == pytest.approx(run.units.height_top, rel=1e-12)  # sums over the cells
 
 
-@scene
-@draw
+@drawings
 def test_titles(name, draw):
-    """The title stands there in full, with the method, the reason why a run stopped, and nothing on top of another."""
-    run, figure = solved(name), drawn(name, draw)
-    axes = plain(figure)[0]
-    left, right = axes.get_title(loc="left"), axes.get_title(loc="right")
-    assert left.rstrip("\n") == run.title
+    """The title stands there in full, with the method and the reason why a run stopped."""
+    run = solved(name)
+    title, *lines = [text.get_text() for text in drawn(name, draw).texts]
     expected = f"{run.method}, {run.cells} cells" + ("" if run.done else f" {run.status}")
-    assert " ".join(right.split()) == expected
-    boxes = {text.get_text(): text.get_window_extent() for text in axes.get_children() if hasattr(text, "get_text")}
-    a, b = boxes[left], boxes[right]
-    assert a.x0 >= 0 and b.x0 >= 0 and max(a.y1, b.y1) <= figure.bbox.y1 + 1  # a pixel of rounding
-    lines_left, lines_right = left.count("\n") + 1, right.count("\n") + 1
-    foot_of_title = a.y1 - a.height / lines_left
-    top_of_reason = b.y0 + b.height * (lines_right - 1) / lines_right
-    assert a.x1 < b.x0 or foot_of_title >= top_of_reason - 1
+    assert title == run.title and " ".join(lines) == expected
 
 
-def markers(axes, marker):
+def test_long_titles_are_wrapped():
+    long = " ".join(["A slope with a title that nobody will read to its end"] * 3)
+    figure = draw_factor(dataclasses.replace(solved("no kinks"), title=long))
+    figure.canvas.draw()
+    assert_legible(figure)
+    assert " ".join(t.get_text() for t in figure.texts[:-1]) == long
+
+
+def points(axes, marker):
     """x and y of every marker of that kind."""
     lines = [line for line in axes.lines if line.get_marker() == marker and len(line.get_xdata())]
-    return [(float(x), float(y)) for line in lines for x, y in zip(line.get_xdata(), line.get_ydata(), strict=True)]
+    return {(float(x), float(y)) for line in lines for x, y in zip(line.get_xdata(), line.get_ydata(), strict=True)}
 
 
 @scene
-def test_kinks_are_marked_on_the_profiles(name):
+def test_kinks_and_their_paths_are_on_the_profiles(name):
     run = solved(name)
     top, middle, bottom = plain(drawn(name, draw_profiles))
     x, u = (run.units.x(run.x), run.units.height(run.u)) if run.units else (run.x, run.u)
+    scale = run.units.x if run.units else float
     profiles = [line.get_ydata() for line in top.lines if len(line.get_xdata()) == x.size]
     shown = [i for i in range(run.time.size) if any(np.array_equal(y, u[i]) for y in profiles)]
-    assert {0, run.time.size - 1} <= set(shown) and len(profiles) == min(run.time.size, 9)
-    kinks = [(run.units.x(k.x) if run.units else k.x, i) for i in shown for k in run.kinks_at(i)]
+    assert {0, run.time.size - 1} <= set(shown) and len(profiles) == min(run.time.size, style.LINES)
     for axes, heights in ((top, u), (middle, u - u[0])):
-        expected = [(float(at), float(np.interp(at, x, heights[i]))) for at, i in kinks]
-        assert markers(axes, "o") == expected
-    assert not markers(bottom, "o")
-    legend = top.get_legend()
-    assert [text.get_text() for text in legend.get_texts()] == ["kink"] if run.kinks else legend is None
+
+        def places(index, heights=heights):
+            seen = [(float(scale(k.x)), i) for i in index for k in run.kinks_at(i)]
+            return {(at, float(np.interp(at, x, heights[i]))) for at, i in seen}
+
+        assert points(axes, "o") == places(shown)
+        paths = [line for line in axes.lines if line.get_marker() == "None" and len(line.get_xdata()) != x.size]
+        trail = {(float(a), float(b)) for line in paths for a, b in zip(*line.get_data(), strict=True)}
+        assert trail == places(range(run.time.size)) and len(paths) == len({k.kink for k in run.kinks})
+    assert not points(bottom, "o")
+    assert ("kink" in keys_of(drawn(name, draw_profiles))) == bool(run.kinks)
 
 
 @scene
@@ -168,37 +236,89 @@ def test_kinks_and_events_are_on_the_diagram(name):
     run = solved(name)
     (axes,) = plain(drawn(name, draw_diagram))
     scale = run.units.x if run.units else float
-    paths = [line for line in axes.lines if line.get_marker() in ("None", ".") and len(line.get_xdata())]
-    points = {(float(x), float(t)) for line in paths for x, t in zip(line.get_xdata(), line.get_ydata(), strict=True)}
-    assert points == {(float(scale(r.x)), r.time) for r in (*run.kinks, *run.events)}
-    assert len(paths) == len({r.kink for r in (*run.kinks, *run.events)} & {k.kink for k in run.kinks})
+    paths = [line for line in axes.lines if line.get_linewidth() == 1.3]
+    found = {(float(x), float(t)) for line in paths for x, t in zip(line.get_xdata(), line.get_ydata(), strict=True)}
+    numbers = {k.kink for k in run.kinks} | {s.step for s in run.vertical_steps or ()}
+    there = [*run.kinks, *(run.vertical_steps or ()), *(e for e in run.events if e.kink in numbers)]
+    assert found == {(float(scale(r.x)), r.time) for r in there} and len(paths) == len(numbers)
     for line in paths:  # a line through one point is invisible
         assert len(line.get_xdata()) > 1 or line.get_marker() == "."
-    for event, marker in (("birth", "o"), ("merge", "^"), ("exit", "s")):
-        assert markers(axes, marker) == [(float(scale(e.x)), e.time) for e in run.events if e.event == event]
+    for event, marker in (("birth", "o"), ("merge", "^"), ("exit", "s"), ("blow-up", "*")):
+        expected = {(float(scale(e.x)), e.time) for e in run.events if e.event == event}
+        assert points(axes, marker) == expected
+        assert (event in keys_of(drawn(name, draw_diagram))) == bool(expected)
+    traced = [line for line in axes.lines if line.get_linewidth() < 0.5]
+    assert bool(traced) == ("characteristic" in keys_of(drawn(name, draw_diagram))) == (run.time.size > 1)
 
 
-def test_events_are_named():
-    legend = plain(drawn("kinks", draw_diagram))[0].get_legend()
-    assert [text.get_text() for text in legend.get_texts()] == ["merge", "exit", "kink"]
+def test_characteristics_run_into_the_kinks():
+    """From both sides: one ends within six cells left of the path of each, and one right of it."""
+    run = solved("kinks")
+    (axes,) = plain(drawn("kinks", draw_diagram))
+    ends = []
+    for line in (line for line in axes.lines if line.get_linewidth() < 0.5):
+        x, t = np.array(line.get_data())
+        ends.append((x[np.isfinite(x)][-1], t[np.isfinite(x)][-1]))
+    for number in (1, 2):
+        path = np.array([(k.time, k.x) for k in run.kinks if k.kink == number]).T
+        apart = np.array([x - np.interp(t, *path) for x, t in ends if path[0, 0] <= t <= path[0, -1]])
+        near = 6.0 * (run.x[1] - run.x[0])
+        assert np.any((-near < apart) & (apart < 0)) and np.any((apart > 0) & (apart < near))
+
+
+def test_what_cannot_be_traced_is_left_out():
+    case = dict(solved("kinks").case) | {"layer": {"thickness": 0.1}}
+    run = dataclasses.replace(solved("kinks"), case=case)
+    assert traceable_law(run) is None
+    assert "characteristic" not in keys_of(draw_diagram(run))
+    assert plain(draw_factor(run))[0].get_ylabel() == "flux of grains K"
 
 
 def test_erosion_and_deposition_are_told_apart():
-    """The filled pieces lie where the profile sank and where it rose."""
+    """The filled pieces lie between the first and the last profile where it sank and rose; with their areas."""
     run = solved("survey")
-    change = run.units.height(run.u[-1]) - run.units.height(run.u[0])
-    middle = plain(drawn("survey", draw_profiles))[1]
+    x, u = run.units.x(run.x), run.units.height(run.u)
+    change = u[-1] - u[0]
+    top, middle, _ = plain(drawn("survey", draw_profiles))
     eroded, deposited = (fill.get_paths() for fill in middle.collections)
     assert min(p.vertices[:, 1].min() for p in eroded) == pytest.approx(change.min(), rel=1e-12)
     assert max(p.vertices[:, 1].max() for p in deposited) == pytest.approx(change.max(), rel=1e-12)
     assert max(p.vertices[:, 1].max() for p in eroded) == min(p.vertices[:, 1].min() for p in deposited) == 0
+    for fill, sign in zip(top.collections, (-1.0, 1.0), strict=True):
+        corners = np.concatenate([p.vertices for p in fill.get_paths()])
+        edges = np.array([np.interp(corners[:, 0], x, h) for h in (u[0], u[-1])])
+        tolerance = 1e-6 * np.ptp(u)
+        assert np.all(np.abs(edges - corners[:, 1]).min(axis=0) < tolerance)  # on one of the profiles
+        assert np.all(sign * (edges[1] - edges[0]) > -tolerance)
+    areas = [0.5 * np.diff(x) @ (h[1:] + h[:-1]) for h in (np.maximum(-change, 0.0), np.maximum(change, 0.0))]
+    keys = [f"{word} (area {area:,.0f})" for word, area in zip(("eroded", "deposited"), areas, strict=True)]
+    assert keys_of(drawn("survey", draw_profiles)) == [*keys, "kink"]
+    assert keys_of(drawn("flat", draw_profiles)) == []
+
+
+@scene
+def test_the_colour_bar_shows_the_sides_of_the_critical_slope_that_are_there(name):
+    run = solved(name)
+    (bar,) = set(drawn(name, draw_diagram).axes) - set(plain(drawn(name, draw_diagram)))
+    low, high = bar.get_ylim()
+    slight = 1e-3 * np.abs(run.q).max()
+    if name != "flat":
+        assert (low < 0.0, high > 0.0) == (run.q.min() < -slight, run.q.max() > slight)
+    ticks = bar.get_yticks()
+    assert 0.0 in ticks and (low == 0.0 or ticks.min() < 0.0) and (high == 0.0 or ticks.max() > 0.0)
+
+
+def test_the_factor_is_logarithmic_where_it_spans_a_decade():
+    (axes,) = plain(drawn("survey", draw_factor))
+    assert np.ptp(np.log10(solved("survey").K)) > 1.0 and axes.get_yscale() == "log"
+    assert plain(drawn("kinks", draw_factor))[0].get_yscale() == "linear"
 
 
 def test_rounding_is_not_drawn_as_relief():
     """q of 1e-15 is a critical slope, and a colour scale of 1e-15 would show noise."""
     flat = solved("flat")
     noise = dataclasses.replace(flat, q=1e-15 * np.random.default_rng(1).standard_normal(flat.q.shape))
-    norm = plain(draw_diagram(noise))[0].collections[0].norm
+    norm = plain(draw_diagram(noise))[0].images[0].norm
     assert -norm.vmin == norm.vmax > 0.01
-    norm = plain(drawn("kinks", draw_diagram))[0].collections[0].norm
+    norm = plain(drawn("kinks", draw_diagram))[0].images[0].norm
     assert norm.vmax == solved("kinks").q.max() and norm.vcenter == 0

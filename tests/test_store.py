@@ -40,7 +40,8 @@ SCENES = {
     "survey": KINKS | {"profile": SURVEY, "domain": {"left": -4.0, "cells": 100}},
     "failed": KINKS | {"solver": {"method": "godunov", "cfl": 2.5}},
 }
-FILES = {"profile.nc", "kinks.csv", "events.csv", "summary.json", "profile.png", "diagram.png"}
+PICTURES = {"profile.png", "diagram.png", "factor.png"}
+FILES = {"profile.nc", "kinks.csv", "events.csv", "summary.json"} | PICTURES
 
 
 @lru_cache
@@ -64,7 +65,7 @@ def run(request, home):
 @pytest.fixture(autouse=True)
 def pictures(monkeypatch):
     """Stand-ins: the true ones take most of the time here, and have tests of their own."""
-    monkeypatch.setattr("hjprofile.output.plots.pictures", lambda run: {"profile.png": b"P", "diagram.png": b"D"})
+    monkeypatch.setattr("hjprofile.output.plots.runs.pictures", lambda run: dict.fromkeys(PICTURES, b"P"))
 
 
 def names(folder):
@@ -93,9 +94,9 @@ def test_every_file_is_there(run, tmp_path):
 @pytest.mark.parametrize(
     ("vtk", "plots", "expected"),
     [
-        (False, False, FILES - {"profile.png", "diagram.png"}),
+        (False, False, FILES - PICTURES),
         (False, True, FILES),
-        (True, False, FILES - {"profile.png", "diagram.png"} | snapshots(7)),
+        (True, False, FILES - PICTURES | snapshots(7)),
     ],
 )
 def test_vtk_and_plots_can_be_left_out(tmp_path, vtk, plots, expected):

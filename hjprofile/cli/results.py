@@ -1,24 +1,67 @@
-"""Commands on result folders: plot, export."""
+"""Commands on result folders: plot, compare, animate, export."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from hjprofile.cli.common import Into, Json, answer, app, listing, say
+from hjprofile.cli.common import Into, Json, Progress, answer, app, listing, say
 from hjprofile.errors import InputError
+
+Film = Annotated[
+    Path | None, Parameter(help="File, which ends in .gif or .mp4; profile.gif in the result folder by default.")
+]
+Fps = Annotated[float, Parameter(help="Saved times a second; 8 by default.")]
 
 
 @app.command
 def plot(result: Path, /, *, out: Into = None, json: Json = False) -> None:
-    """Draw the pictures of a result folder again, into it or into another folder."""
-    from hjprofile.output.plots import pictures
+    """Draw the pictures of a result folder again as PNG and as SVG, into it or into another folder."""
+    from hjprofile.output.plots.runs import pictures
     from hjprofile.output.store import load_run
 
-    _write(out or result, pictures(load_run(result)), json)
+    _write(out or result, pictures(load_run(result), ("png", "svg")), json)
+
+
+@app.command
+def compare(result: Path, other: Path, /, *, out: Into = None, json: Json = False) -> None:
+    """Say how far two results are apart and draw both with their differences, into the first or another folder.
+
+    The grids must be the same, or one a refinement of the other. Writes comparison.png and comparison.svg.
+    """
+    from hjprofile.evidence.accuracy import compare as norms_of
+    from hjprofile.output.plots.comparison import comparison_pictures
+    from hjprofile.output.store import load_run
+
+    first, second = load_run(result), load_run(other)
+    norms = norms_of(first, second)
+    names = (result.resolve().name, other.resolve().name)
+    if names[0] == names[1]:
+        names = (str(result), str(other))
+    files = comparison_pictures(first, second, names)
+    times = sum(t in second.time for t in first.time)
+    kinks = f"{norms.kinks:.2g}" if norms.kinks == norms.kinks else "none to compare"
+    for name, run in zip(names, (first, second), strict=True):
+        say(json, f"{name}: {run.method}, {run.cells} cells")
+    say(json, f"  height      ∫|u₁ - u₂| dx = {norms.height_l1:.2g}, sup|u₁ - u₂| = {norms.height_sup:.2g}")
+    say(json, f"  slope       ∫|q₁ - q₂| dx = {norms.slope_l1:.2g}, sup|q₁ - q₂| = {norms.slope_max:.2g}")
+    say(json, f"  kinks       {kinks}")
+    _write(out or result, files, json, {"shared_times": times} | norms._asdict())
+
+
+@app.command
+def animate(result: Path, /, *, out: Film = None, fps: Fps = 8.0, json: Json = False) -> None:
+    """Show the saved times of a result folder as a moving picture: a GIF, or an MP4 where there is ffmpeg."""
+    from hjprofile.output.plots.animation import animation
+    from hjprofile.output.store import load_run
+
+    file = out or result / "profile.gif"
+    with Progress("animating") as progress:
+        data = animation(load_run(result), file.suffix.lower(), fps, progress)
+    _write(file.parent, {file.name: data}, json)
 
 
 @app.command
@@ -40,11 +83,11 @@ def export(
     _write(out or result / VTK_FOLDER, vtk_files(load_run(result)), json)
 
 
-def _write(folder: Path, files: Mapping[str, bytes | str], json: bool) -> None:
+def _write(folder: Path, files: Mapping[str, bytes | str], json: bool, found: Mapping[str, Any] | None = None) -> None:
     from hjprofile.output.store import write_whole
 
     for name, data in files.items():
         write_whole(folder / name, data)
     paths = [folder / name for name in files]
-    say(json, f"{folder}: {listing(folder, paths)}")
-    answer(json, {"files": paths})
+    say(json, f"{'  written     ' if found else ''}{folder}: {listing(folder, paths)}")
+    answer(json, {**(found or {}), "files": paths})

@@ -46,7 +46,7 @@ def chart(*case: CasePath, out: Out = None, json: Json = False) -> None:
     """
     from hjprofile.evidence.chart import Point, pareto
     from hjprofile.evidence.chart import chart as chart_case
-    from hjprofile.output.plots import chart_picture
+    from hjprofile.output.plots.studies import chart_picture
     from hjprofile.output.store import open_folder, to_csv, write_whole
 
     if not case:
@@ -77,7 +77,7 @@ def stability(case: CasePath, /, *, out: Out = None, json: Json = False) -> None
     """
     from hjprofile.evidence.stability import Trial, measured_limit
     from hjprofile.evidence.stability import stability as scan
-    from hjprofile.output.plots import stability_picture
+    from hjprofile.output.plots.studies import stability_picture
     from hjprofile.output.store import open_folder, to_csv, write_whole
 
     folder, (loaded,) = load_cases((case,), out)
@@ -109,7 +109,7 @@ def dependence(case: CasePath, /, *, out: Out = None, json: Json = False) -> Non
     """
     from hjprofile.evidence.dependence import Distance, summary
     from hjprofile.evidence.dependence import dependence as study
-    from hjprofile.output.plots import dependence_picture
+    from hjprofile.output.plots.studies import dependence_picture
     from hjprofile.output.store import open_folder, to_csv, write_whole
 
     folder, (loaded,) = load_cases((case,), out)

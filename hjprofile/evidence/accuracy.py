@@ -10,16 +10,18 @@ import numpy as np
 from hjprofile.errors import InputError
 from hjprofile.solvers.run import Array, Run
 
+ABOUT = "a-check-or-a-study"
 STRONG = 0.25  # jump above which every method here sees a kink on a few hundred cells
 
 
 class Comparison(NamedTuple):
     """How far two runs are apart; each norm is a mean over the saved times, `_max` the largest of them.
 
-    slope_l1, slope_max: ∫|(D u₁ - 1) - q₂| dx, where D u is the difference quotient on the cells, and its supremum.
-    height_l1, height_sup: ∫|u₁ - u₂| dx and sup|u₁ - u₂|.
-    kinks: |x₁ - x₂| over kinks stronger than STRONG, at times after the start when both runs see as many; NaN if
-        there are none.
+    Attributes:
+        slope_l1, slope_max: ∫|(D u₁ - 1) - q₂| dx, where D u is the difference quotient on the cells, and its supremum.
+        height_l1, height_sup: ∫|u₁ - u₂| dx and sup|u₁ - u₂|.
+        kinks: |x₁ - x₂| over kinks stronger than STRONG, at times after the start when both runs see as many; NaN if
+            there are none.
     """
 
     slope_l1: float
@@ -29,33 +31,67 @@ class Comparison(NamedTuple):
     kinks: float
 
 
-def compare(first: Run, second: Run) -> Comparison:
-    """Differentiates the first run's u and compares it with the second's q; compares u and the kinks.
+class Shared(NamedTuple):
+    """Two runs on the grid and at the times that they share.
+
+    first, second: numbers of the shared times in each run, shape (times,).
+    x, x_cell: nodes and midpoints of the coarser grid.
+    height: u of both runs there, shape (2, times, cells + 1).
+    slope: q of both runs, means over the cells of the coarser grid, shape (2, times, cells): of the first run from its
+        u, D u - 1, where D is the difference quotient, so that a comparison with a second equation is one.
+    """
+
+    first: Array
+    second: Array
+    x: Array
+    x_cell: Array
+    height: Array
+    slope: Array
+
+
+def shared(first: Run, second: Run) -> Shared:
+    """Both runs where they can be compared.
 
     The grids must be the same, or one a refinement of the other by a whole number. Raises InputError otherwise, or if
     the runs share no saved time.
     """
     times, i, j = np.intersect1d(first.time, second.time, return_indices=True)
     if times.size == 0:
-        raise InputError("the runs share no saved time, so they cannot be compared")
+        raise InputError("the runs share no saved time, so they cannot be compared", ABOUT)
     cells = min(first.cells, second.cells)
-    if first.cells % cells or second.cells % cells or first.x[0] != second.x[0]:
-        raise InputError(f"grids of {first.cells} and {second.cells} cells do not nest, so they cannot be compared")
-    a, b = first.u[i][:, :: first.cells // cells], second.u[j][:, :: second.cells // cells]
+    ends = [(float(run.x[0]), float(run.x[-1]) + 0.0) for run in (first, second)]
+    if ends[0] != ends[1]:
+        (a, b), (c, d) = ends
+        raise InputError(f"grids over [{a:g}, {b:g}] and [{c:g}, {d:g}] differ, so the runs cannot be compared", ABOUT)
+    if first.cells % cells or second.cells % cells:
+        raise InputError(
+            f"grids of {first.cells} and {second.cells} cells do not nest, so they cannot be compared", ABOUT
+        )
+    coarse = first if first.cells == cells else second
+    height = np.stack([run.u[at][:, :: run.cells // cells] for run, at in ((first, i), (second, j))])
     dx = float(np.ptp(first.x)) / cells
-    slope = np.diff(a, axis=1) / dx - 1.0 - second.q[j].reshape(times.size, cells, -1).mean(axis=2)
-    apart = [_kink_distances(first, second, t) for t in times if t > 0]
+    means = second.q[j].reshape(times.size, cells, -1).mean(axis=2)
+    return Shared(i, j, coarse.x, coarse.x_cell, height, np.stack([np.diff(height[0], axis=1) / dx - 1.0, means]))
+
+
+def compare(first: Run, second: Run) -> Comparison:
+    """How far two runs are apart on the grid and at the times that they share. Raises InputError as `shared` does."""
+    both = shared(first, second)
+    times, dx = first.time[both.first], float(np.ptp(both.x)) / both.x_cell.size
+    height, slope = both.height[0] - both.height[1], both.slope[0] - both.slope[1]
+    apart = [kink_distances(first, second, t) for t in times if t > 0]
     pairs = np.concatenate(apart) if apart else np.empty(0)
     return Comparison(
         slope_l1=float(np.mean(dx * np.abs(slope).sum(axis=1))),
         slope_max=float(np.max(np.abs(slope))),
-        height_l1=float(np.mean(dx * np.abs(a - b).sum(axis=1))),
-        height_sup=float(np.mean(np.abs(a - b).max(axis=1))),
+        height_l1=float(np.mean(dx * np.abs(height).sum(axis=1))),
+        height_sup=float(np.mean(np.abs(height).max(axis=1))),
         kinks=float(np.mean(pairs)) if pairs.size else float("nan"),
     )
 
 
-def _kink_distances(first: Run, second: Run, time: float) -> Array:
+def kink_distances(first: Run, second: Run, time: float) -> Array:
+    """|x₁ - x₂| of the kinks stronger than STRONG at a saved time, from the left; empty if the runs see not as many."""
     places = [np.sort([k.x for k in run.kinks if k.time == time and k.jump > STRONG]) for run in (first, second)]
     return np.abs(places[0] - places[1]) if places[0].size == places[1].size else np.empty(0)
 

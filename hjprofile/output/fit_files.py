@@ -12,7 +12,7 @@ from hjprofile.problem.case import to_toml
 
 def fit_files(found: Calibration) -> dict[str, bytes | str]:
     """Name -> content: the numbers, the picture and the case with the fitted values."""
-    from hjprofile.output.plots import fit_picture
+    from hjprofile.output.plots.studies import fit_picture
 
     return {
         "fit.json": to_json(fit_report(found)),

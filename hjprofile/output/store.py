@@ -25,8 +25,12 @@ from hjprofile.solvers.run import FIELDS, UNITS, Event, KinkRecord, Run, Verdict
 
 VTK_FOLDER = "vtk"
 STEPS_FILE = "vertical_steps.csv"
-_HALF = re.compile(r"\..+\.(nc|csv|json|toml|png|npz|pvd|vtp|vtr)\.\w{8}")  # as `write_whole` names them
-_STALE = (STEPS_FILE, "profile.png", "diagram.png", "vtk/*.pvd", "vtk/*.vtp", "vtk/*.vtr")
+_HALF = re.compile(r"\..+\.(nc|csv|json|toml|png|svg|gif|mp4|npz|pvd|vtp|vtr)\.\w{8}")  # as `write_whole` names them
+_PICTURES = ("profile", "diagram", "factor", "comparison")
+_STALE = (
+    STEPS_FILE, *(f"{name}.{form}" for name in _PICTURES for form in ("png", "svg")), "profile.gif", "profile.mp4",
+    "vtk/*.pvd", "vtk/*.vtp", "vtk/*.vtr",
+)  # fmt: skip
 
 
 def write_whole(path: Path, data: bytes | str) -> None:
@@ -104,7 +108,7 @@ def write_run(
 
 
 def _pictures(run: Run) -> dict[str, bytes | str]:
-    from hjprofile.output.plots import pictures
+    from hjprofile.output.plots.runs import pictures
 
     return pictures(run)
 

@@ -71,7 +71,7 @@ def processes(workers: int | None) -> Iterator[Executor]:
 
 def _prepare(parent: int) -> None:
     _ward(parent)
-    import hjprofile.output.plots  # noqa: F401
+    import hjprofile.output.plots.runs  # noqa: F401
 
 
 def _ward(parent: int) -> None:

@@ -342,6 +342,11 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
     return Case(name, source, problem, grid, method, cfl, tolerance, vtk, plots, checkpoint, expect, refresh)
 
 
+def law_from(table: Mapping[str, Any]) -> erosion.ErosionLaw:
+    """The law of an `[erosion]` table of a stored case, without the case. Raises InputError as `load_case` does."""
+    return _build(_Section("the stored case", "erosion", table), "law", _LAWS, Path())
+
+
 def resolved_case(
     problem: Problem,
     grid: Grid,

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 import hjprofile as hj
 from hjprofile.evidence import stability as study
-from hjprofile.output.plots import stability_picture
+from hjprofile.output.plots.studies import stability_picture
 from hjprofile.solvers import hj as hj_form
 from hjprofile.solvers.march import Breakdown
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import hjprofile as hj
 from hjprofile.evidence.dependence import dependence, summary
-from hjprofile.output.plots import dependence_picture
+from hjprofile.output.plots.studies import dependence_picture
 
 FIGURE = Path(__file__).resolve().parents[2] / "docs" / "figures" / "dependence.png"
 SHOWN = "breaking_bump"

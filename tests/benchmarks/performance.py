@@ -25,7 +25,7 @@ from rich.console import Console
 
 import hjprofile as hj
 from hjprofile.evidence.chart import Point, chart, seconds_to
-from hjprofile.output.plots import chart_picture
+from hjprofile.output.plots.studies import chart_picture
 from hjprofile.solvers.kernels import grid as grid_kernels
 from hjprofile.solvers.kernels.wavefront import LANES
 from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS
@@ -251,6 +251,7 @@ PAGE = """# Speed and accuracy, measured
 
 Everything on this page is measured and written by one command, charts included:
 
+<!-- not run: ten minutes -->
 ```sh
 pip install -e '.[bench]' && python tests/benchmarks/performance.py
 ```

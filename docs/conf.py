@@ -1,0 +1,68 @@
+"""How Sphinx makes the site of these pages: `python -m sphinx -W -b html docs docs/_build`."""
+
+import re
+from pathlib import Path
+
+import hjprofile
+
+project = "hjprofile"
+author = "The hjprofile authors"
+version = release = hjprofile.__version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc"]
+exclude_patterns = ["_build"]
+smartquotes_action = "D"  # dashes only: f' is a derivative, no quotation
+
+myst_heading_anchors = 4  # headings have the anchors that a code host gives them
+
+html_theme = "furo"
+html_title = f"hjprofile {release}"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_show_sphinx = False
+html_show_copyright = False
+html_copy_source = False
+highlight_language = "text"
+
+default_role = "code"  # docstrings put names in single backticks
+autodoc_typehints_format = "short"
+autodoc_member_order = "bysource"
+python_use_unqualified_type_names = True
+python_maximum_signature_line_length = 140
+toc_object_entries_show_parents = "hide"
+
+
+_THEORY = (Path(__file__).parent / "theory.md").read_text(encoding="utf-8")
+_SECTIONS = {n: f"{n}-{title.lower().replace(' ', '-')}" for n, title in re.findall(r"^## §(\d+) (.+)$", _THEORY, re.M)}
+
+
+def _as_written(app, what, name, obj, options, lines):
+    """Docstrings are plain text: |u| is a modulus and * a product, no markup. Code in backticks is left alone.
+
+    Attributes become a list, and sections of the theory links.
+    """
+    listing = False
+    for i, line in enumerate(lines):
+        parts = re.split(r"(`[^`]*`)", line)
+        parts[::2] = [re.sub(r"([*|])", r"\\\1", part) for part in parts[::2]]
+        line = re.sub(r"theory, §(\d+)[a-h]?(-[a-h])?", _link, "".join(parts))
+        if listing:
+            line = re.sub(r"^    (\w[\w, ]*): ", r"- **\1**: ", line)
+            line = re.sub(r"^ {8}", "  ", line)
+        lines[i] = "" if line == "Attributes:" else line
+        listing = line == "Attributes:" or (listing and bool(line))
+
+
+def _link(section):
+    return f"`{section[0]} <theory.html#{_SECTIONS[section[1]]}>`__"
+
+
+def _readable(app, what, name, obj, options, signature, returns):
+    """A default that is made anew each time has no text that Sphinx could parse."""
+    return signature and signature.replace("<factory>", "..."), returns
+
+
+def setup(app):
+    """What is done to docstrings and signatures."""
+    app.connect("autodoc-process-docstring", _as_written)
+    app.connect("autodoc-process-signature", _readable)

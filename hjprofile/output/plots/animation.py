@@ -1,0 +1,147 @@
+"""A run as a moving picture: its saved times, one after the other, and nothing between them."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from PIL import Image
+
+from hjprofile.errors import InputError, RunError
+from hjprofile.output.plots import style
+from hjprofile.output.plots.style import DEPOSITED, ERODED, INK, amount, styled
+from hjprofile.solvers.run import Array, Run
+
+DPI = 120  # 600 pixels wide
+FPS = 8.0
+LAST = 1.5  # seconds for which the last picture stays
+COLOURS = 64  # of a GIF
+FORMS = ".gif", ".mp4"
+
+
+def animation(run: Run, form: str, fps: float = FPS, progress: Callable[[float], None] = lambda _: None) -> bytes:
+    """The saved times as a ".gif" or an ".mp4", `fps` of them a second. `progress` is told how much is done.
+
+    Raises InputError for another form, for a rate that is not positive, and for MP4 where there is no ffmpeg.
+    """
+    if form not in FORMS:
+        raise InputError(f"an animation ends in {' or '.join(FORMS)}, not in {form!r}", "a-moving-picture")
+    if not 0.0 < fps <= 50.0:
+        raise InputError(
+            f"--fps {fps:g} must be a positive number of pictures a second, at most 50", "a-moving-picture"
+        )
+    ffmpeg = shutil.which("ffmpeg")
+    if form == ".mp4" and ffmpeg is None:
+        raise InputError(
+            "an MP4 needs the program ffmpeg, which is not on the PATH; install it, or write a .gif", "a-moving-picture"
+        )
+    images = []
+    for i, image in enumerate(frames(run)):
+        images.append(image)
+        progress((i + 1) / run.time.size)
+    return _gif(images, fps) if ffmpeg is None or form == ".gif" else _mp4(images, fps, ffmpeg)
+
+
+def frames(run: Run) -> Iterator[Array]:
+    """A picture of each saved time, shape (rows, columns, 3), whose rows and columns are even numbers.
+
+    What does not move is drawn once.
+    """
+    figure, moving, show = _scene(run)
+    for artist in moving:
+        artist.set_animated(True)
+    canvas: Any = figure.canvas
+    canvas.draw()
+    still = canvas.copy_from_bbox(figure.bbox)
+    for i in range(run.time.size):
+        show(i)
+        canvas.restore_region(still)
+        for artist in moving:
+            (artist.axes or figure).draw_artist(artist)
+        image = np.asarray(canvas.buffer_rgba())[..., :3]
+        yield image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2].copy()
+
+
+@styled
+def _scene(run: Run) -> tuple[Figure, list[Any], Callable[[int], None]]:
+    """The figure; what moves in it, in the order in which it is drawn; and what makes it show a saved time."""
+    x, u, x_label, u_label = style.axes_units(run, run.units)
+    figure = style.sheet(run.title, style.about(run), 2, 3.9, right=0.16)
+    figure.set_dpi(DPI)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
+    shades = [PolyCollection([], fc=colour, alpha=0.4, lw=0) for colour in (ERODED, DEPOSITED)]
+    for shade in shades:
+        top.add_collection(shade, autolim=False)
+    for axes, heights in ((top, u), (bottom, run.q)):  # room for all times, so that nothing jumps
+        axes.update_datalim([(x[0], heights.min()), (x[-1], heights.max())])
+        axes.autoscale_view()
+    start = top.plot(x, u[0], color=style.PALE, lw=0.8, ls=(0, (4, 2)), label="at the start")
+    profile, slope = (axes.plot([], [], color=INK, lw=1.1)[0] for axes in (top, bottom))
+    kinks = style.kinks_on(run, x, u)
+    trails = [top.plot([], [], color=INK, lw=0.6)[0] for _ in kinks]
+    dots = top.plot([], [], **style.DOT, ls="none", label="kink")
+    patches = [Patch(fc=c, alpha=0.4, label=n) for c, n in ((ERODED, "eroded"), (DEPOSITED, "deposited"))]
+    style.legend_above(figure, start + patches + (dots if kinks else []))
+    height = figure.get_figheight()
+    row = figure.subplotpars.top + (0.09 + 1.15 * style.LINE) / height
+    texts = [figure.text(at / style.WIDTH, row, "", va="bottom") for at in (0.08, 2.25, 3.45)]
+    top.set_ylabel(u_label)
+    style.axis_of_q(bottom, run)
+    style.axis_of_x(bottom, x, x_label)
+    figure.align_ylabels([top, bottom])
+    cells, volume = (run.units.x(run.x_cell), run.units.volume) if run.units else (run.x_cell, 1.0)
+
+    def show(i: int) -> None:
+        profile.set_data(x, u[i])
+        slope.set_data(cells, run.q[i])
+        for shade, edge in zip(shades, (np.minimum(u[i], u[0]), np.maximum(u[i], u[0])), strict=True):
+            shade.set_verts([np.column_stack([np.append(x, x[::-1]), np.append(u[0], edge[::-1])])])
+        now = []
+        for trail, (at, heights, index) in zip(trails, kinks, strict=True):
+            trail.set_data(at[index <= i], heights[index <= i])
+            now += [(at[index == i], heights[index == i])]
+        dots[0].set_data(*(np.concatenate(part) for part in zip(*now, strict=True)) if now else ([], []))
+        areas = style.change_of(u[i], u[0], x)
+        words = f"poured in {amount(volume * run.time[i])} of {amount(volume * run.time[-1])}", "eroded", "deposited"
+        for text, word, area in zip(texts, words, ("", *map(amount, areas)), strict=True):
+            text.set_text(f"{word} {area}")
+
+    return figure, [*shades, *trails, profile, *dots, slope, *texts], show
+
+
+def _gif(images: list[Array], fps: float) -> bytes:
+    """All pictures in the same few colours, over and over."""
+    some = np.concatenate([images[i] for i in style.spread(len(images), 3)])
+    palette = Image.fromarray(some).quantize(COLOURS)
+    colours = np.array(palette.getpalette()).reshape(-1, 3)
+    colours[colours.min(axis=1) > 248] = 255  # paper is white
+    palette.putpalette(colours.ravel().tolist())
+    pictures = [Image.fromarray(image).quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+    lasts = [*[1000.0 / fps] * (len(images) - 1), 1000.0 * max(LAST, 1.0 / fps)]
+    buffer = io.BytesIO()
+    pictures[0].save(buffer, "gif", save_all=True, append_images=pictures[1:], duration=lasts, loop=0)
+    return buffer.getvalue()
+
+
+def _mp4(images: list[Array], fps: float, ffmpeg: str) -> bytes:
+    """By ffmpeg, with the codec that it takes for MP4, in colours that every player knows."""
+    rows, columns, _ = images[0].shape
+    shown = [*images, *[images[-1]] * round(LAST * fps)]
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "profile.mp4"
+        form = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{columns}x{rows}", "-r", f"{fps:g}", "-i", "-"]
+        command = [ffmpeg, "-loglevel", "error", *form, "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(file)]
+        done = subprocess.run(command, input=b"".join(map(np.ndarray.tobytes, shown)), capture_output=True)
+        if done.returncode:
+            reason = done.stderr.decode(errors="replace").strip().splitlines() or [f"exit code {done.returncode}"]
+            raise RunError(f"ffmpeg could not write the MP4: {reason[-1]}; a .gif needs no ffmpeg", "a-moving-picture")
+        return file.read_bytes()

@@ -1,0 +1,90 @@
+"""A picture of two runs beside each other."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from hjprofile.evidence.accuracy import kink_distances, shared
+from hjprofile.output.plots import style
+from hjprofile.output.plots.style import INK, TIMES, TWO_RUNS, styled
+from hjprofile.solvers.run import Run
+
+SHOWN = 4  # shared times at which profiles are drawn
+ROUNDING = 1e-12  # distances that are none
+LONGEST = 26  # characters of a name that a key has room for
+
+_LOOKS: tuple[dict[str, Any], ...] = (
+    {"color": TWO_RUNS[0], "lw": 1.5},
+    {"color": TWO_RUNS[1], "lw": 1.0, "ls": (0, (3, 2))},
+)
+_LARGEST: dict[str, Any] = {"color": INK, "lw": 0.9, "label": "largest |difference of u|"}
+_KINKS: dict[str, Any] = {"color": INK, "ls": "none", "marker": ".", "ms": 4.0, "label": "distance of kinks"}
+
+
+def comparison_pictures(first: Run, second: Run, names: tuple[str, str]) -> dict[str, bytes | str]:
+    """Name -> file of `draw_comparison`, as PNG and as SVG."""
+    figure = draw_comparison(first, second, names)
+    return {f"comparison.{form}": style.encode(figure, form) for form in ("png", "svg")}
+
+
+@styled
+def draw_comparison(first: Run, second: Run, names: tuple[str, str]) -> Figure:
+    """Both profiles at up to four shared times, their differences in u and q; through time the largest one of u, and
+    how far kinks are apart.
+
+    In exchange lengths, also for surveys. Raises InputError if the runs cannot be compared.
+    """
+    both = shared(first, second)
+    times = first.time[both.first]
+    names = tuple(n if len(n) <= LONGEST else f"{n[: LONGEST - 1]}…" for n in names)  # type: ignore[assignment]
+    lines = [f"{name}: {run.method}, {run.cells} cells" for name, run in zip(names, (first, second), strict=True)]
+    figure = style.sheet(" and ".join(dict.fromkeys((first.title, second.title))), lines, 2, 6.2)
+    frame = figure.subplotpars
+    parts = figure.add_gridspec(
+        2,
+        1,
+        height_ratios=[5.2, 1.2],
+        hspace=0.26,
+        left=frame.left,
+        right=frame.right,
+        bottom=frame.bottom,
+        top=frame.top,
+    )  # fmt: skip
+    panels: Any = parts[0].subgridspec(3, 1, height_ratios=[3, 2, 2], hspace=0.1).subplots(sharex=True)
+    top, middle, bottom = panels
+    last = figure.add_subplot(parts[1])
+    norm = Normalize(*style.span(times))
+    for i in style.spread(times.size, SHOWN):
+        for height, look in zip(both.height, _LOOKS, strict=True):
+            top.plot(both.x, height[i], **look)
+        colour = TIMES(norm(times[i]))
+        middle.plot(both.x, both.height[0, i] - both.height[1, i], color=colour, lw=0.9)
+        bottom.plot(both.x_cell, both.slope[0, i] - both.slope[1, i], color=colour, lw=0.9)
+    largest = np.abs(both.height[0] - both.height[1]).max(axis=1)
+    distances = [(t, d) for t in times for d in kink_distances(first, second, t) if d > ROUNDING]
+    last.plot(times, np.where(largest > ROUNDING, largest, np.nan), **_LARGEST)
+    last.plot(*np.array(distances).reshape(-1, 2).T, **_KINKS)
+    runs = [Line2D([], [], **look, label=name) for name, look in zip(names, _LOOKS, strict=True)]
+    style.legend_above(figure, [runs[0], Line2D([], [], **_LARGEST), runs[1], Line2D([], [], **_KINKS)], rows=2)
+    for axes, label in zip((top, middle, bottom), ("height u", "difference of u", "difference of q"), strict=True):
+        axes.set_ylabel(label)
+        if axes is not top:
+            axes.axhline(0.0, color="0.6", lw=0.6, zorder=0)
+    style.axis_of_x(bottom, both.x, style.axes_units(first, None)[2])
+    last.set_ylabel("distance")
+    last.set_xlabel("t: mass of grains poured in")
+    last.set_xlim(*style.span(times))
+    if distances or largest.max() > ROUNDING:
+        last.set_yscale("log")
+        style.plain_numbers(last.yaxis)
+    else:
+        last.set_ylim(0.0, 1.0)
+    figure.align_ylabels([top, middle, bottom, last])
+    style.bar_of(figure, ScalarMappable(norm, TIMES), "t", bottom=bottom.get_position().y0)
+    return figure

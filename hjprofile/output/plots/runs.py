@@ -1,0 +1,224 @@
+"""Pictures of a run: its profiles, q over the (x, t) plane, its factor."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import TwoSlopeNorm
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from hjprofile.evidence.tracing import kink_paths, slope_between, trace_back, traceable_law
+from hjprofile.output.plots import style
+from hjprofile.output.plots.style import (
+    DEPOSITED,
+    DOT,
+    ERODED,
+    EXCESS,
+    INK,
+    amount,
+    axes_units,
+    change_of,
+    span,
+    styled,
+)
+from hjprofile.solvers.run import Array, Run
+
+RASTER = 420, 640  # times and places at which the (x, t) plane is coloured
+TRACED = 14, 8  # characteristics that end at the last time, and at the top
+LEAST_CHANGE = 1e-9  # of the relief: what is less is rounding
+
+
+def pictures(run: Run, forms: Iterable[str] = ("png",)) -> dict[str, bytes | str]:
+    """Name -> file of every picture of a run, in each form: "png" or "svg"."""
+    drawings = {"profile": draw_profiles(run), "diagram": draw_diagram(run), "factor": draw_factor(run)}
+    return {f"{name}.{form}": style.encode(figure, form) for name, figure in drawings.items() for form in forms}
+
+
+@styled
+def draw_profiles(run: Run) -> Figure:
+    """The profile through time with what was eroded and deposited, and its kinks; the change of height; q."""
+    x, u, x_label, u_label = axes_units(run, run.units)
+    keys = _keys_of_change(u[-1], u[0], x) + [_KINK] * bool(run.kinks)
+    figure = style.sheet(run.title, style.about(run), bool(keys), 4.9)
+    top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
+    shown, colour = style.shown_times(run)
+    _shade(top, x, u[0], u[-1])
+    _shade(middle, x, 0.0, u[-1] - u[0])
+    for i in shown:
+        top.plot(x, u[i], color=colour(i), lw=0.9)
+        middle.plot(x, u[i] - u[0], color=colour(i), lw=0.9)
+        bottom.plot(run.x_cell if not run.units else run.units.x(run.x_cell), run.q[i], color=colour(i), lw=0.9)
+    for axes, heights in ((top, u), (middle, u - u[0])):
+        for at, height, index in style.kinks_on(run, x, heights):
+            axes.plot(at, height, color=INK, lw=0.6, zorder=2.5)
+            marked = np.isin(index, shown)
+            axes.plot(at[marked], height[marked], **DOT, ls="none", zorder=3)
+    style.legend_above(figure, keys)
+    top.set_ylabel(u_label)
+    middle.set_ylabel("change of height")
+    style.axis_of_q(bottom, run)
+    style.axis_of_x(bottom, x, x_label)
+    figure.align_ylabels([top, middle, bottom])
+    style.bar_of_times(figure, run)
+    return figure
+
+
+_KINK = Line2D([], [], color=INK, lw=0.6, label="kink", **DOT)
+
+
+def _keys_of_change(u: Array, first: Array, x: Array) -> list[Any]:
+    """Keys of a legend for what was eroded and deposited."""
+    eroded, deposited = change_of(u, first, x)
+    least = LEAST_CHANGE * float(np.ptp(first) * np.ptp(x))
+    parts = ((ERODED, "eroded", eroded), (DEPOSITED, "deposited", deposited))
+    return [Patch(fc=c, alpha=0.4, label=f"{name} (area {amount(a)})") for c, name, a in parts if a > least]
+
+
+def _shade(axes: Axes, x: Array, before: Array | float, after: Array) -> list[Any]:
+    """What lies between two profiles: eroded where it sank, deposited where it rose."""
+    return [
+        axes.fill_between(x, before, after, where=where, interpolate=True, color=colour, alpha=0.4, lw=0, zorder=1)
+        for where, colour in ((after < before, ERODED), (after > before, DEPOSITED))
+    ]
+
+
+@styled
+def draw_diagram(run: Run) -> Figure:
+    """q over the (x, t) plane with the paths of the kinks, their births, merges and exits, and characteristics.
+
+    Between saved times q is drawn as by `slope_between`. Characteristics are left out where K and q do not say how
+    they move (`traceable_law`).
+    """
+    x, _, x_label, _ = axes_units(run, run.units)
+    scale = run.units.x if run.units else np.asarray
+    traced = _characteristics(run)
+    keys = _keys_of_diagram(run, traced is not None)
+    rows = -(-len(keys) // 5)
+    figure = style.sheet(run.title, style.about(run), rows, 3.1)
+    axes = figure.subplots()
+    (first, last), norm = span(run.time), _norm_of_q(run)
+    times, places = (a + (b - a) * (np.arange(n) + 0.5) / n for (a, b), n in zip(
+        ((first, last), (run.x[0], run.x[-1])), RASTER, strict=True
+    ))  # fmt: skip
+    sheet = axes.imshow(
+        slope_between(run, times, places), cmap=EXCESS, norm=norm, origin="lower", aspect="auto",
+        extent=(x[0], x[-1], first, last), interpolation="nearest",
+    )  # fmt: skip
+    bar = style.bar_of(figure, sheet, "excess slope q")
+    least, most = _ends_of_q(run, norm)
+    many = 4 if least < 0.0 < most else 8
+    bar.set_yticks(np.unique([*style.round_numbers(least, 0.0, many), *style.round_numbers(0.0, most, many)]))
+    bar.yaxis.set_major_formatter(lambda q, _: f"{q:g}".replace("-", "−"))
+    bar.set_ylim(least, most)
+    if run.time.size == 1:
+        axes.set_yticks([float(run.time[0])])
+    if traced is not None:
+        axes.plot(scale(traced), run.time, color=INK, lw=0.45, alpha=0.55)
+    steps = {s.step for s in run.vertical_steps or ()}
+    for number, path in kink_paths(run).items():
+        dot = "." if path.x.size == 1 else None  # a line through one point is invisible
+        axes.plot(scale(path.x), path.time, color=INK, lw=1.3, marker=dot, solid_capstyle="round")
+        if number in steps:
+            after = np.isin(path.time, [s.time for s in run.vertical_steps or () if s.step == number])
+            axes.plot(scale(path.x[after]), path.time[after], color=INK, lw=2.6, marker=dot)
+    for kind, marker in _EVENTS.items():
+        marks = [e for e in run.events if e.event == kind]
+        if marks:
+            at = scale(np.array([e.x for e in marks]))
+            axes.plot(at, [e.time for e in marks], **marker, clip_on=False, zorder=3)
+    style.legend_above(figure, keys, rows)
+    axes.set_ylabel("t: mass of grains poured in")
+    style.axis_of_x(axes, x, x_label)
+    axes.set_ylim(first, last)
+    return figure
+
+
+_MARK: dict[str, Any] = {"ls": "none", "ms": 4.5, "mfc": "white", "mec": INK, "mew": 0.8}
+_EVENTS: dict[str, dict[str, Any]] = {
+    "birth": _MARK | {"marker": "o"},
+    "blow-up": _MARK | {"marker": "*", "ms": 8.0},
+    "merge": _MARK | {"marker": "^"},
+    "exit": _MARK | {"marker": "s"},
+}
+
+
+def _keys_of_diagram(run: Run, traced: bool) -> list[Any]:
+    """Keys of a legend for what is on the diagram."""
+    lines = ((run.kinks, 1.3, "kink"), (run.vertical_steps, 2.6, "vertical step"), (traced, 0.45, "characteristic"))
+    keys = [Line2D([], [], color=INK, lw=width, label=label) for there, width, label in lines if there]
+    there = {e.event for e in run.events}
+    return keys + [Line2D([], [], label=k, **m) for k, m in _EVENTS.items() if k in there]
+
+
+def _norm_of_q(run: Run) -> TwoSlopeNorm:
+    """One colour scale about q = 0 in which neither side drowns the other."""
+    low, high = float(run.q.min()), float(run.q.max())
+    if run.vertical_steps:  # where the profile jumps q has no bound
+        high = max(float(np.quantile(run.q, 0.98)), 0.0)
+    wide = max(-low, high)
+    if wide < 1e-9:  # a critical slope: rounding must not be drawn as if it were relief
+        wide = 1.0
+    return TwoSlopeNorm(0.0, min(low, -0.05 * wide), max(high, 0.05 * wide))
+
+
+def _ends_of_q(run: Run, norm: TwoSlopeNorm) -> tuple[float, float]:
+    """The part of the colour scale that a run needs: both sides of the critical slope, or one."""
+    slight = 1e-3 * float(np.abs(run.q).max())
+    steep, gentle = run.q.max() > slight, run.q.min() < -slight
+    return (
+        float(norm.vmin or 0.0) if gentle or not steep else 0.0,
+        float(norm.vmax or 0.0) if steep or not gentle else 0.0,
+    )
+
+
+def _characteristics(run: Run) -> Array | None:
+    """Places at the saved times, shape (times, lines), of the characteristics that are drawn; None if none are.
+
+    Those that end evenly spread at the last time and at the top, and those that run into kinks from both sides.
+    """
+    law = traceable_law(run) if run.time.size > 1 else None
+    if law is None:
+        return None
+    last, width = run.time.size - 1, float(np.ptp(run.x))
+    ends = [(last, float(run.x[0] + width * (j + 0.5) / TRACED[0])) for j in range(TRACED[0])]
+    ends += [(int(i), float(run.x[-1])) for i in style.spread(last + 1, TRACED[1])[1:]]
+    aside = 4.0 * width / run.cells  # a grid spreads a kink over some cells
+    for path in kink_paths(run).values():
+        lasts = (path.time[-1] - path.time[0]) / (run.time[-1] - run.time[0])
+        index = np.flatnonzero(np.isin(run.time, path.time))
+        for i in index[style.spread(index.size, max(round(4.0 * lasts), 1) + 1)[1:]]:
+            at = float(np.interp(run.time[i], path.time, path.x))
+            ends += [(int(i), at - aside), (int(i), min(at + aside, float(run.x[-1])))]
+    return trace_back(run, law, ends)
+
+
+@styled
+def draw_factor(run: Run) -> Figure:
+    """The factor K along the slope through time, with its corners at the kinks; logarithmic if it spans a decade."""
+    x, _, x_label, _ = axes_units(run, run.units)
+    figure = style.sheet(run.title, style.about(run), bool(run.kinks), 2.3)
+    axes = figure.subplots()
+    shown, colour = style.shown_times(run)
+    for i in shown:
+        axes.plot(x, run.K[i], color=colour(i), lw=0.9)
+    for at, height, index in style.kinks_on(run, x, run.K):
+        marked = np.isin(index, shown)
+        axes.plot(at[marked], height[marked], **DOT, ls="none", zorder=3)
+    if run.K.max() > 10.0 * run.K.min():
+        axes.set_yscale("log")
+        style.plain_numbers(axes.yaxis)
+    axes.axhline(1.0, color="0.6", lw=0.6, zorder=0)
+    axes.set_ylabel(_FACTORS[next((key for key in _FACTORS if key in run.case), "")])
+    style.axis_of_x(axes, x, x_label)
+    marks = Line2D([], [], ls="none", label="kink", **DOT)
+    style.legend_above(figure, [marks] * bool(run.kinks))
+    style.bar_of_times(figure, run)
+    return figure
+
+
+_FACTORS: dict[str, str] = {"coefficient": "coefficient k", "layer": "flux of grains K", "": "factor K"}
