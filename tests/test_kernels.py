@@ -178,8 +178,8 @@ def test_what_is_left_out_changes_nothing(method, monkeypatch):
     solve = hj.solve_hj if method in hj_form.FLUXES or method in ("eno2", "weno5") else hj.solve_conservative
     part = solve(NARROW, hj.Grid(-10.0, 1500), method)
 
-    def everywhere(y, first, last, left, right, negligible):
-        sound(y, 0, y.size - 1, left, right, negligible)
+    def everywhere(y, first, last, left, right):
+        sound(y, 0, y.size - 1, left, right)
         return 0, y.size - 1
 
     sound = kernels.flat_ends

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -97,19 +98,15 @@ Ladder = Sequence[tuple[int, Callable[[], Run]]]
 
 def _plan(problem: Problem, grid: Grid, cfl: float) -> Iterator[tuple[str, Ladder]]:
     """Every method with its resolutions: a number for the chart, and the run."""
-    every = (*HJ_METHODS, *CONSERVATIVE_METHODS, "fronts", "characteristics")
-    fit = CARRY_STEPS if problem.law.grows_linearly else every
-    for method in (m for m in HJ_METHODS if m in fit):
-        yield method, [(n, partial(solve_hj, problem, replace(grid, cells=n), method, cfl)) for n in CELLS]
-    for method in (m for m in CONSERVATIVE_METHODS if m in fit):
-        yield method, [(n, partial(solve_conservative, problem, replace(grid, cells=n), method, cfl)) for n in CELLS]
+    steep = problem.law.grows_linearly
+    for solve, methods in ((solve_hj, HJ_METHODS), (solve_conservative, CONSERVATIVE_METHODS)):
+        for method in (m for m in methods if m in CARRY_STEPS or not steep):
+            yield method, [(n, partial(solve, problem, replace(grid, cells=n), method, cfl)) for n in CELLS]
     if not problem.profile.inflow:
         yield "fronts", [(n, partial(track_fronts, problem, grid, n)) for n in FRONTS]
-        if "characteristics" in fit:
-            yield (
-                "characteristics",
-                [(grid.cells, partial(solve_characteristics, problem, grid, e)) for e in TOLERANCES],
-            )
+        if not steep:
+            exact = partial(solve_characteristics, problem, grid)
+            yield "characteristics", [(grid.cells, partial(exact, tolerance)) for tolerance in TOLERANCES]
 
 
 def _reference(problem: Problem, grid: Grid) -> Reference:
@@ -125,23 +122,16 @@ def _reference(problem: Problem, grid: Grid) -> Reference:
     def read(run: Run) -> tuple[Array, Array]:
         return run.u, run.q[-1]
 
-    numbers = REFERENCE_FRONTS
-    try:
-        if problem.law.grows_linearly:
-            numbers = STEEP_REFERENCE_FRONTS
-            raise RunError("vertical steps are followed by fronts alone")
-        run = solve_characteristics(problem, grid)
-        if run.done and run.error_estimate is not None:
-            return Reference(
-                "characteristics", run.error_estimate, lambda g: read(solve_characteristics(problem, g))
-            )  # fmt: skip
-    except RunError:
-        pass
-    finest, coarser = (track_fronts(problem, grid, n) for n in (numbers, numbers // 2))
+    if not problem.law.grows_linearly:  # vertical steps are followed by fronts alone
+        with suppress(RunError):
+            run = solve_characteristics(problem, grid)
+            if run.done and run.error_estimate is not None:
+                estimate = run.error_estimate
+                return Reference("characteristics", estimate, lambda g: read(solve_characteristics(problem, g)))
+    fronts = STEEP_REFERENCE_FRONTS if problem.law.grows_linearly else REFERENCE_FRONTS
+    finest, coarser = (track_fronts(problem, grid, n) for n in (fronts, fronts // 2))
     error = float(np.abs(finest.u - coarser.u).max())
-    return Reference(
-        f"{numbers} fronts", error, lambda g: read(track_fronts(problem, g, numbers))
-    )  # fmt: skip
+    return Reference(f"{fronts} fronts", error, lambda g: read(track_fronts(problem, g, fronts)))
 
 
 def pareto(points: Sequence[Point]) -> list[Point]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -40,9 +40,8 @@ class Fractional(NamedTuple):
 
 
 def fractional_steps(
-    problem: Problem, grid: Grid, method: str = "conservative", refresh: Sequence[float] = (), cfl: float = 0.9,
-    progress: Callable[[float], None] | None = None,
-) -> Fractional:  # fmt: skip
+    problem: Problem, grid: Grid, method: str = "conservative", refresh: Sequence[float] = ()
+) -> Fractional:
     """S^Δt [eq1-Deltat] for several Δt against the same method on the same grid with its factor anew in every step.
 
     What is compared differs in the age of the factor alone, so that the errors are those of the fractional step. By
@@ -56,17 +55,15 @@ def fractional_steps(
 
     def solved(length: float | None) -> Run:
         solver = solve_hj if method in HJ_METHODS else solve_conservative
-        run = solver(problem, grid, method, cfl, refresh=length)
+        run = solver(problem, grid, method, refresh=length)
         if not run.done:
             raise RunError(f"{method} with refresh = {length}: {run.status}")
         return run
 
     reference, steps = solved(None), []
-    for i, length in enumerate(lengths):
+    for length in lengths:
         apart = compare(solved(length), reference)
         steps.append(Step(length, apart.slope_l1, apart.height_sup, apart.kinks))
-        if progress:
-            progress((i + 1) / len(lengths))
     orders = [
         observed_order([1.0 / length for length in lengths], errors) for errors in list(zip(*steps, strict=True))[1:]
     ]

@@ -19,6 +19,7 @@ from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers import conservation, hj
 from hjprofile.solvers.grid_law import GridLaw, grid_law
+from hjprofile.solvers.high_order import ssp_rk2
 from hjprofile.solvers.march import Scheme
 from hjprofile.solvers.run import Array, Breakdown, State
 
@@ -85,42 +86,33 @@ class _Laboratory(conservation.FirstOrder):
         if self.taken % self.refresh == 0:
             self.stale = self.K
         self.taken += 1
-        if self.edges == "monotone":
-            rate = partial(self._rate, first_order=True, bound=bound)
-            self._move(self.q + dt * rate(self.q), dt, bound)
-        else:  # Heun's method: with forward Euler steps all of these are unstable
-            rate = partial(self._rate, first_order=False, bound=bound)
-            d = dt * rate(self.q)
-            self._move(self.q + 0.5 * (d + dt * rate(self.q + d)), dt, bound)
+        rate = partial(self._rate, bound=bound)
+        # with forward Euler steps all edges but the monotone ones are unstable
+        q = self.q + dt * rate(self.q) if self.edges == "monotone" else ssp_rk2(self.q, rate, dt)
+        self.growth += dt * (float(self.K[0]) - 1.0)  # by the K that should have been used
+        self.outflow += self.grid.dx * float(np.sum(self.q) - np.sum(q))
+        self.q = q
         return bound
 
-    def _rate(self, q: Array, first_order: bool, bound: float) -> Array:
+    def _rate(self, q: Array, bound: float) -> Array:
         if not np.min(q) > -1.0:
             raise Breakdown(q, self.K)
-        K, dx = self.stale, self.grid.dx
-        if not first_order:  # K of the stage
-            K = np.exp(np.append(np.cumsum(dx * self.law.f(q)[::-1])[::-1], 0.0))
-        left, right = q, np.append(q[1:], q[-1])
-        if not first_order:
+        K, dx, left, right = self.stale, self.grid.dx, q, np.append(q[1:], q[-1])
+        if self.edges != "monotone":
+            K = np.exp(np.append(np.cumsum(dx * self.law.f(q)[::-1])[::-1], 0.0))  # of the stage
             back, ahead = np.diff(q, prepend=q[0]), np.diff(q, append=q[-1])
             if self.edges == "central":
                 left = 0.5 * (left + right)
             elif self.edges == "unlimited":  # Fromm's
                 left = q + 0.25 * (back + ahead)
             else:  # limited by minmod
-                left = q + 0.5 * np.where(
-                    back * ahead > 0.0, np.sign(back) * np.minimum(np.abs(back), np.abs(ahead)), 0.0
-                )
+                least = np.sign(back) * np.minimum(np.abs(back), np.abs(ahead))
+                left = q + 0.5 * np.where(back * ahead > 0.0, least, 0.0)
             right = left
             if not np.min(left) > -1.0:
                 raise Breakdown(left, self.K)
         F, _ = self.flux(self.law, dx, left, right, K, self.viscosity * bound)
         return -np.diff(F, prepend=0.0) / dx
-
-    def _move(self, q: Array, dt: float, bound: float) -> None:
-        self.growth += dt * (float(self.K[0]) - 1.0)  # by the K that should have been used
-        self.outflow += self.grid.dx * float(np.sum(self.q) - np.sum(q))
-        self.q = q
 
 
 def stability(case: str, problem: Problem, grid: Grid, progress: Callable[[float], None] | None = None) -> list[Trial]:

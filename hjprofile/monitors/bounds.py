@@ -238,13 +238,9 @@ class BoundsMonitor:
 
     @property
     def bounds(self) -> dict[str, Verdict]:
-        return verdicts(self.promises, self.worst)
-
-
-def verdicts(promises: Mapping[str, str | None], worst: Array) -> dict[str, Verdict]:
-    """From rows of margin, time and place, for those that were looked at."""
-    return {
-        name: Verdict(bool(margin >= 0.0), float(margin), float(t), float(x), kept or "")
-        for (name, kept), (margin, t, x) in zip(promises.items(), worst, strict=True)
-        if margin != np.inf  # a NaN does not hold
-    }
+        """A verdict on each bound that was looked at."""
+        return {
+            name: Verdict(margin >= 0.0, margin, t, x, kept)
+            for (name, kept), (margin, t, x) in zip(self.promises.items(), self.worst.tolist(), strict=True)
+            if margin != np.inf  # a NaN does not hold
+        }

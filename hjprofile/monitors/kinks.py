@@ -68,9 +68,10 @@ class KinkTracker:
 
     memory: tuple[str, ...] = ("table",)
 
-    def __init__(self, law: ErosionLaw, grid: Grid):
-        self.law, self.grid = law, grid
-        self.hidden: Callable[[State], Sequence[tuple[float, float]]] = lambda state: ()
+    def __init__(
+        self, law: ErosionLaw, grid: Grid, hidden: Callable[[State], Sequence[tuple[float, float]]] = lambda state: ()
+    ):
+        self.law, self.grid, self.hidden = law, grid, hidden
         self.frames: list[tuple[float, list[Sighting]]] = []
         self.latest: tuple[float, list[Sighting]] = (-np.inf, [])
 

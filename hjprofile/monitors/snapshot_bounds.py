@@ -9,6 +9,8 @@ import numpy as np
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.run import Verdict
 
+BOUNDS = ("mass_budget", "volume_budget", "minimum_principle", "l1_decay")
+
 
 class SnapshotBounds:
     """The budgets, the minimum principle and L1 decay of `BoundsMonitor`.

@@ -183,11 +183,10 @@ class StepMonitor:
     def _note(self, t: float, kind: str, number: float, into: float, x: float) -> None:
         self.log = np.vstack([self.log, [t, KINDS.index(kind), number, into, x]])
 
-    def result(self) -> tuple[list[VerticalStep], list[Event]]:
-        """The steps at the kept times, and their events."""
-        new: dict[float, int] = {}  # numbers of those that last
-        for n in np.flatnonzero(self.seen >= LEAST_LIFE).tolist():
-            new[n] = len(new) + 1
+    def result(self, taken: int) -> tuple[list[VerticalStep], list[Event]]:
+        """The steps at the kept times, and their events; numbered after those that are taken."""
+        lasting = np.flatnonzero(self.seen >= LEAST_LIFE).tolist()
+        new: dict[float, int] = {n: number for number, n in enumerate(lasting, start=taken + 1)}
         steps = [VerticalStep(t, new[n], x, m, s) for t, n, x, m, s in self.rows.tolist() if n in new]
         events = [
             Event(t, KINDS[int(kind)], new[n], new.get(into), x)

@@ -19,6 +19,7 @@ LAYER_METHOD = "conservative-telescoping"  # for its flux the bed loses exactly 
 CARRY_STEPS = "telescoping", "conservative-telescoping", "conservative", "fronts"
 LINES = "half", "whole"
 OFF_GRID = "fronts", "characteristics", "auto"
+MOST_REFRESHES = 1_000_000  # of a factor that is kept for a while, in a run
 
 
 @dataclass(frozen=True)
@@ -127,6 +128,11 @@ class Problem:
             raise InputError(
                 f"refresh applies to methods on a grid; {method} follows the invariant I, which a factor that is kept "
                 "does not have; leave it out"
+            )
+        if not (0.0 < refresh < np.inf and self.end / refresh <= MOST_REFRESHES):
+            raise InputError(
+                f"refresh = {refresh:g} must be a positive number, and at least end / {MOST_REFRESHES:,} = "
+                f"{self.end / MOST_REFRESHES:g}; leave it out to take the factor anew in every step"
             )
         if self.thickness or self.law.grows_linearly or self.line == "whole":
             what = (

@@ -53,6 +53,10 @@ class Grid:
         x = (self.left - self.right) * (cells_from_right / self.cells)
         return x + self.right if self.right else x
 
+    def integral(self, values: np.ndarray) -> float:
+        """∫ of a function given at the nodes, by the trapezoidal rule."""
+        return self.dx * float(np.sum(values) - 0.5 * (values[0] + values[-1]))
+
     def check_memory(self, snapshots: int) -> None:
         """Raises InputError if a run on this grid would need more than the machine's memory."""
         try:

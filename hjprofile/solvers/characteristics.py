@@ -10,17 +10,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from hjprofile.errors import InputError, RunError
-from hjprofile.monitors.snapshot_bounds import SnapshotBounds
+from hjprofile.monitors.snapshot_bounds import BOUNDS, SnapshotBounds
 from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels import characteristics as kernels
+from hjprofile.solvers.kernels.dormand_prince import tableau
 from hjprofile.solvers.kernels.labels import after_start, before_end
 from hjprofile.solvers.kernels.law import LawTable, law_q_f
 from hjprofile.solvers.label_events import (
@@ -111,8 +111,6 @@ class _Solver:
 
     def _try(self, h: float) -> tuple[Panels, float]:
         """The panels after a step h of the clock, and the error of the step as a part of the tolerance."""
-        from scipy.integrate import DOP853  # half a second of imports, which runs on a grid do without
-
         now, panels = self.now, self.now.panels
         self.patience -= TRY + LABEL * panels.r.size
         if self.patience < 0.0:
@@ -120,8 +118,8 @@ class _Solver:
         off, off_top, tau = panels.off.copy(), panels.off_top.copy(), panels.tau.copy()
         new = np.empty(2 * panels.r.size + 2)
         error, found = kernels.step(
-            panels.y, now.clock(now.t), h, now.origin, DOP853.A, DOP853.B, DOP853.E3, DOP853.E5, panels.mesh, RULE,
-            self.table, off, off_top, panels.birth, panels.power, tau, self.S, self.c, self.k, new,
+            panels.y, now.clock(now.t), h, now.origin, tableau(), panels.mesh, RULE, self.table,
+            off, off_top, panels.birth, panels.power, tau, self.S, self.c, self.k, new,
         )  # fmt: skip
         self.found = found
         return panels.at(new, off, off_top, tau), error / self.tolerance
@@ -151,7 +149,7 @@ class _Solver:
             crossed = [e for e, value in signs(panels, self.threshold).items() if value < 0.0]
             if crossed:
                 h, panels, event, error = self._first_event(crossed, h, panels)
-                if error > 1.0:  # the estimate of the longer step was small by chance
+                if not error <= 1.0:  # the estimate of the longer step was small by chance
                     self.h, h = 0.0, 0.5 * h
                     continue
                 reached = False
@@ -339,12 +337,10 @@ def solve_characteristics(
     """
     if not FINEST <= tolerance <= COARSEST:
         raise InputError(f"tolerance = {tolerance:g} must lie between {FINEST:g} and {COARSEST:g}")
-    profile = problem.profile
-    if profile.inflow:
+    if problem.profile.inflow:
         raise InputError("characteristics need q = 0 at the left end; this profile has a flux that enters there")
     grid = grid or problem.grid()
     problem.check(grid, "characteristics")
-    height = float(profile.W(grid.nodes[:1], problem.law)[0])
     try:
         panels = cut_into_panels(problem, grid.left)
     except RunError as error:
@@ -352,62 +348,31 @@ def solve_characteristics(
     table = _table(problem, panels)
     steps = min(tolerance, STEPS)
     first = _Solver(problem, panels, table, min(COARSER * steps, COARSE_STEPS), patience)
-    coarse = _march(first, problem, grid)
-    fine = _march(_Solver(problem, panels, table, steps, first.patience), problem, grid, progress)
-    if not len(fine.W):
+    coarse, W_coarse = _march(first, problem, grid)
+    fine, W = _march(_Solver(problem, panels, table, steps, first.patience), problem, grid, progress)
+    if not len(W):
         raise RunError(fine.status)
-    both = min(len(coarse.W), len(fine.W))
-    apart = float(np.abs(coarse.W[:both] - fine.W[:both]).max()) if both == len(fine.W) else COARSER * tolerance
-    return Run(
-        title=problem.title,
-        method="characteristics",
+    apart = float(np.abs(W_coarse[: len(W)] - W).max()) if len(W) <= len(W_coarse) else COARSER * tolerance
+    rounding = 10.0 * ROUNDING * (1.0 + float(np.abs(W).max()))
+    return replace(
+        fine,
         case=resolved_case(problem, grid, "characteristics", tolerance=tolerance),
-        time=problem.times[: len(fine.W)],
-        x=grid.nodes,
-        x_cell=grid.centres,
-        u=grid.nodes + fine.W + height,
-        q=np.diff(fine.W, axis=1) / grid.dx,
-        K=fine.K,
-        status=fine.status,
-        steps=fine.steps,
-        wall_seconds=fine.seconds + coarse.seconds,
-        kinks=fine.kinks,
-        events=fine.events,
-        bounds=fine.watch.bounds,
-        eroded_volume=fine.watch.eroded_volume,
-        outflow=fine.outflow,
-        volume_budget_error=fine.watch.budget_error,
-        error_estimate=max(2.0 * apart, 10.0 * fine.watch.budget_error)
-        + 10.0 * ROUNDING * (1.0 + float(np.abs(fine.W).max())),
-        units=profile.units,
-        account=profile.account,
+        wall_seconds=fine.wall_seconds + coarse.wall_seconds,
+        error_estimate=max(2.0 * apart, 10.0 * fine.volume_budget_error) + rounding,
     )
 
 
-class _Outcome(NamedTuple):
-    """What one run over all saved times leaves."""
-
-    W: Array
-    K: Array
-    kinks: list[KinkRecord]
-    events: list[Event]
-    watch: SnapshotBounds
-    outflow: float
-    steps: int
-    seconds: float
-    status: str
-
-
-def _march(solver: _Solver, problem: Problem, grid: Grid, progress: Callable[[float], None] | None = None) -> _Outcome:
-    """Through all saved times, or as far as the method gets."""
-    start = solver.now.panels
-    mass = float(problem.profile.W(np.zeros(1), problem.law)[0] - problem.profile.W(start.X[:1, 0], problem.law)[0])
+def _march(
+    solver: _Solver, problem: Problem, grid: Grid, progress: Callable[[float], None] | None = None
+) -> tuple[Run, Array]:
+    """Through all saved times, or as far as the method gets; and W from the left end on, with less rounding than u."""
+    start, profile = solver.now.panels, problem.profile
+    mass = float(profile.W(np.zeros(1), problem.law)[0] - profile.W(start.X[:1, 0], problem.law)[0])
     volume = start.volume()
     # a step may add its tolerance, a panel its own, and the grid reads u to rounding
     room = BUDGET * (solver.tolerance + ROUNDING) * (1.0 + abs(volume) + float(np.ptp(start.mesh.I)))
-    names = ("mass_budget", "volume_budget", "minimum_principle", "l1_decay")
     read = room + 4.0 * ROUNDING / grid.dx
-    allowed = {n: (room if n == "volume_budget" else read, "the tolerance") for n in names}
+    allowed = {n: (room if n == "volume_budget" else read, "the tolerance") for n in BOUNDS}
     # the least r lies a little below the least found on so many points, by less than that below the least on few
     few, many = float(start.r.min()), float((start.r @ interpolation(FINE).T).min())
     watch = SnapshotBounds(grid, mass, volume, allowed, law_q_f(max(2.0 * many - few, 0.5 * many), solver.table)[0])
@@ -430,9 +395,30 @@ def _march(solver: _Solver, problem: Problem, grid: Grid, progress: Callable[[fl
             kinks += solver.kinks()
         if progress:
             progress(target / problem.end if problem.end else 1.0)
-    W, K = (np.array([row[i] for row in rows]) for i in (0, 1))
-    outflow = float(solver.now.panels.totals[1])
-    return _Outcome(W, K, kinks, solver.events, watch, outflow, solver.steps, seconds, status)
+    W, K = (np.array([row[i] for row in rows]).reshape(-1, grid.cells + 1) for i in (0, 1))
+    run = Run(
+        title=problem.title,
+        method="characteristics",
+        case=resolved_case(problem, grid, "characteristics"),
+        time=kept[: len(W)],
+        x=grid.nodes,
+        x_cell=grid.centres,
+        u=grid.nodes + W + float(profile.W(grid.nodes[:1], problem.law)[0]),
+        q=np.diff(W, axis=1) / grid.dx,
+        K=K,
+        status=status,
+        steps=solver.steps,
+        wall_seconds=seconds,
+        kinks=kinks,
+        events=solver.events,
+        bounds=watch.bounds,
+        eroded_volume=watch.eroded_volume,
+        outflow=float(solver.now.panels.totals[1]),
+        volume_budget_error=watch.budget_error,
+        units=profile.units,
+        account=profile.account,
+    )
+    return run, W
 
 
 @np.errstate(over="ignore")  # R is 0 where f overflows, far from the r that is looked for

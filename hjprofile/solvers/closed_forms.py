@@ -1,4 +1,4 @@
-"""Solutions known exactly: flat and steady slopes, and one kink that travels into such a profile (theory, §6).
+"""Solutions known exactly: steady slopes, and one kink that travels into a critical or a steady one (theory, §6).
 
 All are a moving cut: at every time the solution is a profile of `problem.profiles` with its kink at s(t).
 """
@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from hjprofile.monitors.snapshot_bounds import SnapshotBounds
+from hjprofile.monitors.snapshot_bounds import BOUNDS, SnapshotBounds
 from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.erosion import ErosionLaw
@@ -111,15 +111,13 @@ def evaluate(form: ClosedForm, problem: Problem, grid: Grid) -> Run:
             after = float(form.at(s).breaks(law)[0, 2])
             speed = float(form.K(t, np.array([s]))[0] * law.f(after) / after)
             kinks.append(KinkRecord(t, 1, s, 0.0, after, after, speed, speed))
-    left, scale = grid.nodes[:1], 1.0 + float(np.abs(u - grid.nodes).max())
-    eroded, outflow = form.eroded(end, float(left[0])), float(form.u(0.0, grid.nodes)[-1] - form.u(end, grid.nodes)[-1])
-    allowed = 100.0 * ROUNDING * scale, "rounding"
-    names = ("mass_budget", "volume_budget", "minimum_principle", "l1_decay")
-    watch = SnapshotBounds(
-        grid, float(form.u(0.0, grid.nodes)[-1]), _volume(form, 0.0, grid), dict.fromkeys(names, allowed)
-    )
-    watch.observe(0.0, form.u(0.0, grid.nodes) - grid.nodes, _volume(form, 0.0, grid), 0.0, 0.0)
-    watch.observe(end, form.u(end, grid.nodes) - grid.nodes, _volume(form, end, grid), eroded, outflow)
+    first, last = form.u(0.0, grid.nodes), form.u(end, grid.nodes)
+    outflow, volume = float(first[-1] - last[-1]), _volume(form, 0.0, grid)
+    scale = 1.0 + float(np.abs(u - grid.nodes).max())
+    allowed = dict.fromkeys(BOUNDS, (100.0 * ROUNDING * scale, "rounding"))
+    watch = SnapshotBounds(grid, float(first[-1]), volume, allowed)
+    watch.observe(0.0, first - grid.nodes, volume, 0.0, 0.0)
+    watch.observe(end, last - grid.nodes, _volume(form, end, grid), form.eroded(end, float(grid.nodes[0])), outflow)
     return Run(
         title=problem.title,
         method="closed form",
@@ -152,11 +150,8 @@ def _volume(form: ClosedForm, t: float, grid: Grid) -> float:
     return float(0.5 * np.diff(edges) @ (W @ weights)) + flat * float(edges[0] - grid.left)
 
 
-def flat_slope(law: ErosionLaw) -> ClosedForm:
-    """§6d: q = 0, which nothing erodes."""
-    return ClosedForm(
-        law, lambda t: np.nan, lambda s: Kinks(np.zeros(1), np.ones(1)), lambda s, x: np.ones_like(x), 0.0
-    )
+def _one_kink(amplitude: float) -> Callable[[float], Profile]:
+    return lambda s: Kinks(np.array([s]), np.array([amplitude]))
 
 
 def steady_slope(law: ErosionLaw, flux: float) -> ClosedForm:
@@ -166,9 +161,7 @@ def steady_slope(law: ErosionLaw, flux: float) -> ClosedForm:
 
 def travelling_kink(law: ErosionLaw, amplitude: float, start: float) -> ClosedForm:
     """§6a-b: q = Q(x - s(t)) right of s, Q(0) = amplitude, R'(Q) Q' = -Q; s' = 1/R(Q(-s))."""
-
-    def at(s: float) -> Profile:
-        return Kinks(np.array([s]), np.array([amplitude]))
+    at = _one_kink(amplitude)
 
     def factor(s: float, x: Array) -> Array:
         return law.R(law.decay(amplitude, x - s)) / law.R(law.decay(amplitude, -s))
@@ -194,9 +187,7 @@ def travelling_kink(law: ErosionLaw, amplitude: float, start: float) -> ClosedFo
 
 def travelling_wave(law: ErosionLaw, amplitude: float, start: float) -> ClosedForm:
     """§13: the kink of §6b on the whole line moves with the constant speed f'(0), whatever its amplitude; K(∞) = 1."""
-
-    def at(s: float) -> Profile:
-        return Kinks(np.array([s]), np.array([amplitude]))
+    at = _one_kink(amplitude)
 
     def factor(s: float, x: Array) -> Array:
         return law.R(law.decay(amplitude, x - s)) / law.R(0.0)

@@ -15,13 +15,13 @@ import numpy as np
 
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
-from hjprofile.solvers.factor import Factor, factor_of
+from hjprofile.solvers.factor import Factor
 from hjprofile.solvers.grid_law import GridLaw, grid_law
 from hjprofile.solvers.high_order import HighOrder
 from hjprofile.solvers.kernels import grid as kernels
 from hjprofile.solvers.kernels import telescoping, wavefront
 from hjprofile.solvers.kernels.layer import layer_pass
-from hjprofile.solvers.march import BESIDE, NEGLIGIBLE
+from hjprofile.solvers.march import BESIDE, Restorable
 from hjprofile.solvers.run import Array, Breakdown
 from hjprofile.solvers.vertical_steps import step_law
 
@@ -76,11 +76,10 @@ FLUXES: Mapping[str, FirstOrderFlux] = MappingProxyType(
 HIGH_ORDER: Mapping[str, str] = MappingProxyType({"conservative-eno2": "eno2", "conservative-weno5": "weno5"})
 
 
-class FirstOrder:
+class FirstOrder(Restorable):
     """Forward Euler with one of FLUXES, in plain numpy."""
 
     memory: tuple[str, ...] = ("q", "W_left", "growth", "outflow")
-    kept: tuple  # the state before the last steps
 
     def __init__(
         self, law: GridLaw, grid: Grid, q: Array, W_left: float, inflow: float, flux: FirstOrderFlux,
@@ -113,7 +112,7 @@ class FirstOrder:
         return 0, self.q
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
-        self.kept = self.q, self.W_left, self.growth, self.outflow
+        self.keep()
         fastest, dx = 0.0, self.grid.dx
         for step in range(steps):
             if not np.min(self.q) > -1.0:
@@ -132,9 +131,6 @@ class FirstOrder:
             self.growth += dt * (float(K[0]) - 1.0)
             self.outflow += dt * float(F[-1])
         return fastest
-
-    def restore(self) -> None:
-        self.q, self.W_left, self.growth, self.outflow = self.kept
 
     def volume(self) -> float:
         return self.grid.dx * float(np.sum(self.W[1:]))
@@ -166,7 +162,7 @@ class WithLayer(FirstOrder):
         return speed
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
-        self.kept = self.q, self.H, self.K, self.W_left, self.growth, self.outflow
+        self.keep()
         self.q, self.H, self.K = self.q.copy(), self.H.copy(), self.K.copy()
         taken = steps if dt > 0.0 else 0
         speed, grown, outflow = layer_pass(
@@ -176,9 +172,6 @@ class WithLayer(FirstOrder):
         self.growth += grown
         self.outflow += outflow
         return float(speed)
-
-    def restore(self) -> None:
-        self.q, self.H, self.K, self.W_left, self.growth, self.outflow = self.kept
 
 
 class SecondOrder:
@@ -196,7 +189,7 @@ class SecondOrder:
         self.q, self.before, self.W_left = q.copy(), q.copy(), W_left
         self.K = np.ones(grid.cells + 1)
         self.growth = self.outflow = 0.0
-        self.active = kernels.flat_ends(self.q, 0, grid.cells - 1, 0.0, 0.0, NEGLIGIBLE)  # the first and last q /= 0
+        self.active = kernels.flat_ends(self.q, 0, grid.cells - 1, 0.0, 0.0)  # the first and last q /= 0
 
     @property
     def W(self) -> Array:
@@ -222,7 +215,7 @@ class SecondOrder:
         self.W_left -= dt * steps * inflow
         self.growth += grown
         self.outflow += outflow
-        self.active = kernels.flat_ends(self.q, a, b - 1, 0.0, 0.0, NEGLIGIBLE)
+        self.active = kernels.flat_ends(self.q, a, b - 1, 0.0, 0.0)
         return max(float(speed), idle)
 
     def restore(self) -> None:
@@ -230,8 +223,7 @@ class SecondOrder:
         self.q[a:b] = self.before[a:b]
 
     def volume(self) -> float:
-        W = self.W
-        return self.grid.dx * float(np.sum(W) - 0.5 * (W[0] + W[-1]))
+        return self.grid.integral(self.W)
 
 
 class SecondOrderTelescoping(FirstOrder):
@@ -247,7 +239,7 @@ class SecondOrderTelescoping(FirstOrder):
         self.room = np.empty((4, grid.cells))
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
-        self.kept = self.q, self.W_left, self.growth, self.outflow
+        self.keep()
         f, df, *dq = self.room
         fastest = 0.0
         for _ in range(steps):
@@ -267,8 +259,7 @@ class SecondOrderTelescoping(FirstOrder):
         return fastest
 
     def volume(self) -> float:
-        W = self.W
-        return self.grid.dx * float(np.sum(W) - 0.5 * (W[0] + W[-1]))
+        return self.grid.integral(self.W)
 
 
 class HighOrderConservation(HighOrder):
@@ -287,16 +278,12 @@ class HighOrderConservation(HighOrder):
         return _heights(self.state, self.grid.dx, self.W_left - self.t * self.inflow)
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
-        self.t_before = self.t
+        met = super().advance(dt, steps, bound)
         self.t += steps * dt
-        return super().advance(dt, steps, bound)
-
-    def restore(self) -> None:
-        self.t = self.t_before
-        super().restore()
+        return met
 
     def _flat_ends(self, first: int, last: int) -> tuple[int, int]:
-        return kernels.flat_ends(self.state, first, last, 0.0, 0.0, NEGLIGIBLE)
+        return kernels.flat_ends(self.state, first, last, 0.0, 0.0)
 
     def _means(self, state: Array) -> Array:
         return state.copy()
@@ -312,7 +299,7 @@ def scheme(
     W = problem.profile.W(grid.nodes, problem.law)
     q = np.diff(W) / grid.dx
     data = (grid_law(problem.law, q), grid, q, float(W[0]), problem.profile.inflow)
-    factor = factor_of(problem, grid, refresh)
+    factor = Factor(grid, problem.coefficient, refresh)
     if problem.thickness:
         return WithLayer(*data, problem.thickness)
     if method in HIGH_ORDER:

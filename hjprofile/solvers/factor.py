@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hjprofile.errors import InputError, RunError
-from hjprofile.problem import Problem
+from hjprofile.errors import RunError
 from hjprofile.problem.coefficient import Coefficient
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.grid_law import GridLaw
@@ -18,7 +17,6 @@ from hjprofile.solvers.run import Array, Breakdown, Halt
 
 NOTHING = np.empty(0)
 EVERYWHERE = slice(None)
-MOST_REFRESHES = 1_000_000  # in a run
 MOST_VALUES = 1 << 22  # of a coefficient that are asked for at once: 32 MiB
 
 
@@ -94,18 +92,3 @@ class Factor:
         if not 0.0 < speed < np.inf:
             raise Breakdown(q, K)
         return law, speed
-
-
-def check_refresh(problem: Problem, refresh: float | None) -> None:
-    """Raises InputError if `refresh` is not a length of time that makes sense."""
-    if refresh is not None and not (0.0 < refresh < np.inf and problem.end / refresh <= MOST_REFRESHES):
-        raise InputError(
-            f"refresh = {refresh:g} must be a positive number, and at least end / {MOST_REFRESHES:,} = "
-            f"{problem.end / MOST_REFRESHES:g}; leave it out to take the factor anew in every step"
-        )
-
-
-def factor_of(problem: Problem, grid: Grid, refresh: float | None = None) -> Factor:
-    """The factor of a problem, kept for `refresh` at a time. Raises InputError where that makes no sense."""
-    check_refresh(problem, refresh)
-    return Factor(grid, problem.coefficient, refresh)

@@ -8,13 +8,13 @@ their number through the formation and the merging of shocks.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from hjprofile.errors import InputError, RunError
-from hjprofile.monitors.snapshot_bounds import SnapshotBounds
+from hjprofile.monitors.snapshot_bounds import BOUNDS, SnapshotBounds
 from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.erosion import ErosionLaw
@@ -22,15 +22,15 @@ from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Kinks
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels import fronts as kernels
+from hjprofile.solvers.kernels.dormand_prince import tableau
 from hjprofile.solvers.kernels.exact_fronts import advance_exactly
 from hjprofile.solvers.kernels.law import LawTable, law_q_f, start_pieces
 from hjprofile.solvers.kernels.steps import StepLaw
 from hjprofile.solvers.kernels.steps import start_pieces as start_steep_pieces
-from hjprofile.solvers.run import Array, Event, KinkRecord, Run, VerticalStep
-from hjprofile.solvers.vertical_steps import StepTracker, step_law
+from hjprofile.solvers.run import Array, Run, VerticalStep
+from hjprofile.solvers.vertical_steps import REACH, StepTracker, Tracker, step_law
 from hjprofile.solvers.whole_line import also_on_the_whole_line
 
-REACH = 4.0  # spacings that the fastest front may cross in a step: then time adds little to the error of space
 FOLDS = 5000.0  # e-folds of K that are cut through: the time for a run grows with their square, 20 s for these
 FAN = 0.25  # most that a front of a fan may change ln R: coarser ones, where q changes its sign, run off towards q = -1
 # Fronts in all fans, as a part of the others: a quarter for few fans, as many for so many fans and more. A survey of
@@ -40,7 +40,6 @@ NEAR = 0.05  # longest stretch for a Taylor series: its error (0.05)^4/24 is far
 TOLERANCE = 1e-13  # of one step of the exact integration
 ROUNDING = 1e-10  # relative, of the budgets of the exact integration; measured 1.5e-12 on 2000 random scenes
 ROUGH = 3.0  # of the second-order allowances; measured 1.6 at worst on 300 random scenes of 50 jumps
-KINK = 4.0  # times the strength of an ordinary small front: a front that has swallowed so much is a kink
 
 
 @dataclass
@@ -80,18 +79,7 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts,
     if isinstance(profile, Kinks):
         cuts = breaks[:, 0]
     else:
-        marks = np.unique(np.concatenate([[start], breaks[breaks[:, 0] > start, 0], [0.0]]))
-        pieces = np.maximum(np.ceil(np.diff(marks) / spacing - 1e-9).astype(int), 1)
-        cuts = _subdivide(marks, pieces)
-        W = profile.W(cuts, law)
-        # K changes e-fold over a length 1/|f|, which is short where the slope is gentle
-        folds = np.diff(cuts) * np.abs(law.f(np.diff(W) / np.diff(cuts)))
-        if not folds.sum() < FOLDS:
-            raise RunError(
-                f"front tracking cannot start: ln K changes by {folds.sum():.3g} along the slope, as q is too near -1 "
-                f"over too long a way, and {FOLDS:g} is the most it can follow; use the method godunov"
-            )
-        cuts = _subdivide(cuts, np.maximum(np.ceil(2.0 * folds).astype(int), 1))[:-1]
+        cuts = _cuts(problem, np.unique([start, *breaks[breaks[:, 0] > start, 0], 0.0]), spacing)
     ends = np.append(cuts, 0.0)
     W = profile.W(ends, law)
     W -= W[0]
@@ -128,15 +116,27 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts,
             steps = np.diff(np.concatenate([[before], level, [I[k]]]))
             flags = np.append(np.ones(n), smooth[k])
             columns.append(np.array([np.full(n + 1, x), steps, np.zeros(n + 1), flags]))
-        elif x in upward:
-            number += 1
-            columns.append(np.array([[x], [jump[k]], [number], [smooth[k]]]))
-        elif abs(jump[k]) > 1e-15:
-            columns.append(np.array([[x], [jump[k]], [0], [smooth[k]]]))
+        elif x in upward or abs(jump[k]) > 1e-15:
+            number += x in upward
+            columns.append(np.array([[x], [jump[k]], [number if x in upward else 0], [smooth[k]]]))
         elif columns:
             columns[-1][3, -1] = max(columns[-1][3, -1], smooth[k])
     x, jumps, label, flag = np.concatenate(columns, axis=1) if columns else np.empty((4, 0))
     return Fronts(x, jumps, label.astype(np.int64), flag.astype(bool), spacing, r0, float(W[-1])), table
+
+
+def _cuts(problem: Problem, marks: Array, spacing: float) -> Array:
+    """Where pieces begin: at all marks but the last, and in between as often as spacing and K ask for."""
+    law = problem.law
+    cuts = _subdivide(marks, np.maximum(np.ceil(np.diff(marks) / spacing - 1e-9).astype(int), 1))
+    # K changes e-fold over a length 1/|f|, which is short where the slope is gentle
+    folds = np.diff(cuts) * np.abs(law.f(np.diff(problem.profile.W(cuts, law)) / np.diff(cuts)))
+    if not folds.sum() < FOLDS:
+        raise RunError(
+            f"front tracking cannot start: ln K changes by {folds.sum():.3g} along the slope, as q is too near -1 "
+            f"over too long a way, and {FOLDS:g} is the most it can follow; use the method godunov"
+        )
+    return _subdivide(cuts, np.maximum(np.ceil(2.0 * folds).astype(int), 1))[:-1]
 
 
 def _subdivide(marks: Array, pieces: Array) -> Array:
@@ -169,48 +169,37 @@ def _start_of_pieces(law: ErosionLaw, table: LawTable | StepLaw, mass: Array, h:
     return r
 
 
-class _Tracker:
-    """Fronts on their way: arrays for the kernels, and what they have logged."""
+class _Tracker(Tracker):
+    """Fronts under a law of sublinear growth."""
 
     def __init__(self, fronts: Fronts, table: LawTable, exact: bool):
         self.data, self.table, self.exact = fronts, table, exact
         self.x, self.jump, self.label = fronts.x.copy(), fronts.jump.copy(), fronts.label.copy()
         self.smooth = fronts.smooth.copy()
-        self.n, self.t = self.x.size, 0.0
-        room = max(self.n, 1)
+        room = max(self.x.size, 1)
+        super().__init__(self.jump, self.label, room)
         self.since = np.full(room, np.inf)
         self.work, self.head = np.zeros((13, room)), np.zeros(room, dtype=np.int64)
-        self.log = np.zeros((2 * room + 2, 4))
-        self.totals = np.zeros(4)
-        self.totals[3] = self.label.max(initial=0)
         self.near = 0.0 if exact else NEAR
-        small = np.abs(self.jump[self.label == 0])
-        self.strong = KINK * float(np.median(small)) if small.size else np.inf
-        self.events: list[Event] = []
 
     def advance(self, end: float) -> bool:
         """To the time `end`, if steps are not too small for that; merges, births and exits are noted."""
         arrays = self.x, self.jump, self.label, self.since, self.smooth
         if self.exact:
-            from scipy.integrate import DOP853
-
-            self.n, logged = advance_exactly(
-                *arrays, self.n, self.t, end, self.data.r0, self.table,
-                DOP853.A, DOP853.B, DOP853.E3, DOP853.E5, TOLERANCE,
+            n, logged = advance_exactly(
+                *arrays, self.n, self.t, end, self.data.r0, self.table, tableau(), TOLERANCE,
                 self.strong, self.work, self.head, self.log, self.totals,
             )  # fmt: skip
         else:
-            self.n, logged = kernels.advance(
+            n, logged = kernels.advance(
                 *arrays, self.n, self.t, end, REACH, self.data.spacing, self.data.r0, self.near, self.table,
                 self.strong, self.work, self.head, self.log, self.totals,
             )  # fmt: skip
+        self._note(n, logged)
         self.t = end
-        for t, kink, into, x in self.log[: max(logged, 0)].tolist():
-            name = "birth" if into == 0 else "exit" if into < 0 else "merge"
-            self.events.append(Event(t, name, int(kink), int(into) if into > 0 else None, x))
         return bool(logged >= 0)
 
-    def sweep(self) -> tuple[Array, Array, Array, Array]:
+    def _sweep(self) -> tuple[Array, Array, Array, Array]:
         """r on the left and on the right, [f]/[q] and K of the fronts."""
         rows = self.work[0], self.work[1], self.work[2], self.work[3]
         kernels.sweep(self.x, self.jump, self.n, self.n - 1, self.data.r0, self.near, self.table, *rows)
@@ -227,27 +216,12 @@ class _Tracker:
 
     def volume(self) -> float:
         """∫W dx."""
-        right = self.sweep()[1]
-        return kernels.volume(self.x, self.jump, self.n, self.table, self.data.r0, right)
+        return kernels.volume(self.x, self.jump, self.n, self.table, self.data.r0, self._sweep()[1])
 
-    def kinks(self) -> list[KinkRecord]:
-        """The kinks now, from left to right: both speeds are that of the front."""
-        left, right, slope, K = self.sweep()
-        records = []
-        for j in np.flatnonzero(self.label[: self.n] > 0):
-            before, after = (law_q_f(r, self.table)[0] for r in (left[j], right[j]))
-            if after > before:
-                speed = float(K[j] * slope[j])
-                records.append(
-                    KinkRecord(
-                        self.t, int(self.label[j]), float(self.x[j]), before, after, after - before, speed, speed
-                    )
-                )
-        return records
-
-    def vertical_steps(self) -> list[VerticalStep] | None:
-        """None: a law of sublinear growth has none."""
-        return None
+    def _sides(self) -> Iterator[tuple[int, float, float, float]]:
+        left, right, slope, K = self._sweep()
+        for j in np.flatnonzero(self.label[: self.n] > 0).tolist():
+            yield j, law_q_f(left[j], self.table)[0], law_q_f(right[j], self.table)[0], float(K[j] * slope[j])
 
 
 def _begin(
@@ -292,18 +266,15 @@ def track_fronts(
     height = float(profile.W(grid.nodes[:1], problem.law)[0])
 
     kept, saved, kinks = problem.times, [], []
-    steps: list[VerticalStep] | None = [] if problem.law.grows_linearly else None
+    steps: list[VerticalStep] = []
     scale = 1.0 + float(np.abs(data.jump).sum())
     read = ROUNDING * scale
-    second = "second order in the spacing of fronts"
-    allowed = dict.fromkeys(("mass_budget", "volume_budget", "minimum_principle", "l1_decay"), (read, "rounding"))
+    allowed = dict.fromkeys(BOUNDS, (read, "rounding"))
     if not data.kinks_only:
-        allowed = dict.fromkeys(allowed, (read + ROUGH * data.spacing**2 * scale, second))
+        second = read + ROUGH * data.spacing**2 * scale
+        allowed = dict.fromkeys(BOUNDS, (second, "second order in the spacing of fronts"))
         # F(0) is a sawtooth while small fronts leave, and its integral over a step first order
-        allowed["mass_budget"] = (
-            allowed["mass_budget"][0] + data.spacing * scale,
-            "first order in the spacing of fronts",
-        )
+        allowed["mass_budget"] = second + data.spacing * scale, "first order in the spacing of fronts"
     if tracker.exact:
         allowed |= dict.fromkeys(("mass_budget", "volume_budget"), (read, "rounding"))
     watch = SnapshotBounds(grid, data.top, tracker.volume(), allowed)
@@ -328,8 +299,8 @@ def track_fronts(
         if target in kept:
             saved.append((W, K))
             kinks += tracker.kinks()
-            if steps is not None:
-                steps += tracker.vertical_steps() or []
+            if isinstance(tracker, StepTracker):
+                steps += tracker.vertical_steps()
         if progress:
             progress(float(target) / problem.end if problem.end else 1.0)
     if not saved:
@@ -350,7 +321,7 @@ def track_fronts(
         wall_seconds=seconds,
         kinks=kinks,
         events=sorted(tracker.events, key=lambda e: (e.time, e.kink)),
-        vertical_steps=steps,
+        vertical_steps=steps if problem.law.grows_linearly else None,
         bounds=watch.bounds,
         eroded_volume=watch.eroded_volume,
         outflow=float(tracker.totals[1]),

@@ -24,7 +24,7 @@ class GridLaw:
     law: ErosionLaw
     f: Function
     derivative: Function
-    kernel: Rational | Tabulated | Linear
+    kernel: Rational | Tabulated
     q_most: float
 
     def covering(self, q: Array) -> GridLaw:
@@ -60,7 +60,7 @@ def grid_law(law: ErosionLaw, q: Array) -> GridLaw:
     return GridLaw(law, f, derivative, kernel, float(ends[-1]) - 1.0)
 
 
-def _values(q: Array, kernel: Tabulated | Linear) -> tuple[Array, Array]:
+def _values(q: Array, kernel: Tabulated) -> tuple[Array, Array]:
     f, df = np.empty(q.shape), np.empty(q.shape)
     values(q.ravel(), kernel, f.ravel(), df.ravel())
     return f, df

@@ -16,7 +16,7 @@ from hjprofile.problem.grid import Grid
 from hjprofile.solvers.factor import Factor
 from hjprofile.solvers.grid_law import GridLaw
 from hjprofile.solvers.kernels import grid as kernels
-from hjprofile.solvers.march import BESIDE
+from hjprofile.solvers.march import BESIDE, Restorable
 from hjprofile.solvers.run import Array, Breakdown
 
 Rate = Callable[[Array], Array]
@@ -60,7 +60,7 @@ ORDERS: Mapping[str, Order] = MappingProxyType(
 )
 
 
-class HighOrder:
+class HighOrder(Restorable):
     """A scheme of the method of lines on the part of the grid where anything happens."""
 
     memory: tuple[str, ...] = ("state", "active", "growth", "outflow")
@@ -125,7 +125,8 @@ class HighOrder:
         return speed
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
-        self.kept = self.state.copy(), self.active, self.growth, self.outflow
+        self.keep()
+        self.state = self.state.copy()
         return max(self._step(dt, step * dt) for step in range(steps))
 
     def _step(self, dt: float, start: float) -> float:
@@ -154,12 +155,8 @@ class HighOrder:
         self.active = self._flat_ends(a, b + nodes - 1)
         return speeds[0]
 
-    def restore(self) -> None:
-        self.state, self.active, self.growth, self.outflow = self.kept
-
     def volume(self) -> float:
-        W = self.W
-        return self.grid.dx * float(np.sum(W) - 0.5 * (W[0] + W[-1]))
+        return self.grid.integral(self.W)
 
     @property
     def W(self) -> Array:

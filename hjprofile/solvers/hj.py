@@ -13,12 +13,12 @@ import numpy as np
 
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
-from hjprofile.solvers.factor import Factor, factor_of
+from hjprofile.solvers.factor import Factor
 from hjprofile.solvers.grid_law import GridLaw, grid_law
 from hjprofile.solvers.high_order import ORDERS, HighOrder
 from hjprofile.solvers.kernels import grid as kernels
 from hjprofile.solvers.kernels import wavefront
-from hjprofile.solvers.march import BESIDE, NEGLIGIBLE
+from hjprofile.solvers.march import BESIDE
 from hjprofile.solvers.run import Array
 
 Flux = wavefront.LocalLaxFriedrichs | wavefront.LaxFriedrichs | wavefront.Godunov | wavefront.Telescoping
@@ -48,7 +48,7 @@ class HamiltonJacobi:
         self.q, self.K = np.empty(grid.cells), np.ones(grid.cells + 1)
         self.growth = self.outflow = 0.0
         # the first and the last node where W is not what it is at that end
-        self.active = kernels.flat_ends(self.W, 0, grid.cells, W[0], W[-1], NEGLIGIBLE)
+        self.active = kernels.flat_ends(self.W, 0, grid.cells, W[0], W[-1])
 
     def evaluate(self) -> float:
         np.divide(np.diff(self.W), self.grid.dx, out=self.q)
@@ -71,7 +71,7 @@ class HamiltonJacobi:
         speed, grown = wavefront.hj_pass(W, self.grid.dx, dt, steps, inflow, self.law.kernel, self.flux(bound), factor)
         self.growth += grown
         self.outflow += float(self.before[b] - W[-1])
-        self.active = kernels.flat_ends(self.W, a, b, self.W[0], self.W[-1], NEGLIGIBLE)
+        self.active = kernels.flat_ends(self.W, a, b, self.W[0], self.W[-1])
         return max(float(speed), idle)
 
     def restore(self) -> None:
@@ -91,7 +91,7 @@ class HighOrderHamiltonJacobi(HighOrder):
         return self.state
 
     def _flat_ends(self, first: int, last: int) -> tuple[int, int]:
-        return kernels.flat_ends(self.state, first, last, self.state[0], self.state[-1], NEGLIGIBLE)
+        return kernels.flat_ends(self.state, first, last, self.state[0], self.state[-1])
 
     def _means(self, state: Array) -> Array:
         return np.diff(state) / self.grid.dx
@@ -105,7 +105,7 @@ def scheme(
 ) -> HamiltonJacobi | HighOrderHamiltonJacobi:
     """The scheme of that name (a key of FLUXES or ORDERS), set up with the problem's profile."""
     W = problem.profile.W(grid.nodes, problem.law)
-    law, factor = grid_law(problem.law, np.diff(W) / grid.dx), factor_of(problem, grid, refresh)
+    law, factor = grid_law(problem.law, np.diff(W) / grid.dx), Factor(grid, problem.coefficient, refresh)
     if method in ORDERS:
         return HighOrderHamiltonJacobi(law, grid, W, method, problem.profile.inflow, factor)
     return HamiltonJacobi(law, grid, W, FLUXES[method], problem.profile.inflow, factor)

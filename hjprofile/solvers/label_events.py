@@ -89,24 +89,24 @@ def place(panels: Panels, k: int) -> float:
 
 def merged(panels: Panels, k: int) -> Panels:
     """Without segment k: the shocks on its sides are one."""
-    first = np.delete(panels.mesh.first, k)
-    first[k:] -= panels.mesh.first[k + 1] - panels.mesh.first[k]
-    keep = np.r_[0 : panels.mesh.first[k], panels.mesh.first[k + 1] : len(panels.r)]
+    keep = np.ones(len(panels.r), dtype=bool)
+    keep[panels.mesh.first[k] : panels.mesh.first[k + 1]] = False
+    rest = panels.kept(keep)
     off, power, number = np.delete(panels.off, k, axis=0), np.delete(panels.power, k, axis=0), panels.number.copy()
     off[k - 1] = panels.off[k - 1, 0], panels.off[k, 1]
     power[k - 1] = 0.0
     number[k - 1 : k + 1] = [min(number[k - 1], number[k])]
     return replace(
-        panels.kept(keep, first), off=off, power=power, number=number, birth=np.delete(panels.birth, k),
-        tau=np.delete(panels.tau, k),
+        rest, mesh=rest.mesh._replace(first=np.delete(rest.mesh.first, k)), off=off, power=power, number=number,
+        birth=np.delete(panels.birth, k), tau=np.delete(panels.tau, k),
     )  # fmt: skip
 
 
 def exited(panels: Panels) -> Panels:
     """Without the last shock and what was right of it."""
-    first = panels.mesh.first[:-1].copy()
+    rest = panels.kept(np.arange(len(panels.r)) < panels.mesh.first[-2])
     return replace(
-        panels.kept(np.arange(first[-1]), first), off=panels.off[:-1], power=panels.power[:-1],
+        rest, mesh=rest.mesh._replace(first=rest.mesh.first[:-1]), off=panels.off[:-1], power=panels.power[:-1],
         number=panels.number[:-1], birth=panels.birth[:-1], tau=panels.tau[:-1], off_top=panels.off[-1:, 0].copy(),
     )  # fmt: skip
 
@@ -132,8 +132,7 @@ def passed(panels: Panels, kind: str, i: int) -> Panels:
             off_top[0] = 0.0
     if kind != "top":
         power[i] = 0.0
-    first = np.concatenate([[0], np.cumsum(keep)])[mesh.first]
-    return replace(panels.kept(np.flatnonzero(keep), first), off=off, power=power, off_top=off_top)
+    return replace(panels.kept(keep), off=off, power=power, off_top=off_top)
 
 
 def with_joint_at(panels: Panels, p: int, s: float) -> tuple[Panels, int]:

@@ -31,7 +31,6 @@ CLOSE_WAY = 3e-3  # ... of the grid and no further, where a monitor wants to kno
 MARGIN = 0.01  # by which the speed may rise while steps are taken, beyond half as much again as it rose last
 NOBODY: Mapping[str, Any] = MappingProxyType({})
 BESIDE = 64  # critical cells that monitors see beside what is not critical, as many as their stencils can ask for
-NEGLIGIBLE = 1e-40  # differences of W or q that are made none
 
 
 class Scheme(Protocol):
@@ -74,6 +73,20 @@ class Scheme(Protocol):
     def volume(self) -> float:
         """∫(u - x) dx by the sum whose change the scheme's own budget states."""
         ...
+
+
+class Restorable:
+    """A state that is kept and restored by what it names as its memory: what is kept must not be written into."""
+
+    memory: tuple[str, ...]
+
+    def keep(self) -> None:
+        """Keeps the present state."""
+        self.kept = {name: getattr(self, name) for name in self.memory}
+
+    def restore(self) -> None:
+        """Back to it."""
+        vars(self).update(self.kept)
 
 
 class _StepTooSmall(Exception):

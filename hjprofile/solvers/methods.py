@@ -30,11 +30,10 @@ from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import TAIL
 from hjprofile.solvers import conservation, hj
 from hjprofile.solvers.characteristics import COARSEST, FINEST, TOLERANCE, solve_characteristics
-from hjprofile.solvers.factor import check_refresh
 from hjprofile.solvers.fronts import track_fronts
 from hjprofile.solvers.high_order import ORDERS
 from hjprofile.solvers.march import Scheme, march
-from hjprofile.solvers.run import Keeper, Monitor, Run
+from hjprofile.solvers.run import Array, Keeper, Monitor, Run
 from hjprofile.solvers.select import least_work
 from hjprofile.solvers.vertical_steps import step_law
 from hjprofile.solvers.whole_line import also_on_the_whole_line
@@ -120,7 +119,6 @@ def check_method(case: Case) -> None:
         most = COARSEST if case.method == "characteristics" else 1.0
         if case.tolerance is not None and not FINEST <= case.tolerance <= most:
             raise InputError(f"tolerance = {case.tolerance:g} must lie between {FINEST:g} and {most:g}")
-        check_refresh(case.problem, case.refresh)
         if case.tolerance is None and case.method == "auto":
             raise InputError("method = 'auto' needs a tolerance: the largest error of u that will do")
         case.problem.check_method(case.method, case.refresh)
@@ -158,6 +156,21 @@ def _known(method: str, methods: tuple[str, ...]) -> None:
         raise InputError(f"method = {method!r} is not known{hint} (allowed: {', '.join(methods)})")
 
 
+def _promises(problem: Problem, method: str) -> Promises:
+    """What a method keeps to on this problem."""
+    if problem.law.grows_linearly:
+        return STEEP_SECOND_ORDER if method == "conservative" else STEEP
+    return WITH_LAYER if problem.thickness else PROMISES[method]
+
+
+def _fingerprint(problem: Problem, grid: Grid, W: Array) -> str:
+    """Of what a case names: two runs are the same if they have the same case, and what it names is the same."""
+    named = [W, problem.law.f(np.linspace(-0.9, 9.0, 100))]
+    if problem.coefficient is not None:
+        named += [problem.coefficient.values(t, grid.nodes) for t in (0.0, problem.end)]
+    return hashlib.sha256(b"".join(a.tobytes() for a in named)).hexdigest()
+
+
 @also_on_the_whole_line
 def _solve(
     problem: Problem, grid: Grid, method: str, cfl: float, progress: Progress | None,
@@ -167,39 +180,27 @@ def _solve(
     if not cfl > 0:
         raise InputError(f"cfl = {cfl} must be a positive number")
     scheme: Scheme = (hj if method in HJ_METHODS else conservation).scheme(problem, grid, method, refresh)
-    promises = WITH_LAYER if problem.thickness else PROMISES[method]
-    if problem.law.grows_linearly:
-        promises = STEEP_SECOND_ORDER if method == "conservative" else STEEP
     bounds = BoundsMonitor(
-        problem.law, grid, scheme.W, problem.profile.inflow, problem.end, promises,
+        problem.law, grid, scheme.W, problem.profile.inflow, problem.end, _promises(problem, method),
         hj.FLUXES.get(method.removeprefix("conservative-")), strict, problem.coefficient, scheme.factor.refresh,
     )  # fmt: skip
-    steps = None
-    tracker = KinkTracker(problem.law, grid)
-    watching: dict[str, Monitor] = {"bounds": bounds, "kinks": tracker}
     if problem.law.grows_linearly:
         table = step_law(problem.law, 0.5 * (float(np.min(np.diff(scheme.W))) / grid.dx - 1.0))
         steps = StepMonitor(table, grid, problem.times, problem.law.f)
-        tracker.hidden = steps.hidden
-        watching["steps"] = steps
+        tracker = KinkTracker(problem.law, grid, steps.hidden)
+        watching: dict[str, Monitor] = {"bounds": bounds, "kinks": tracker, "steps": steps}
+    else:
+        tracker = KinkTracker(problem.law, grid)
+        watching = {"bounds": bounds, "kinks": tracker}
     case = resolved_case(problem, grid, method, cfl, refresh=scheme.factor.refresh)
-    # two runs are the same if they have the same case, and what it names is the same
-    named = [scheme.W, problem.law.f(np.linspace(-0.9, 9.0, 100))]
-    if problem.coefficient is not None:
-        named += [problem.coefficient.values(t, grid.nodes) for t in (0.0, problem.end)]
-    data = hashlib.sha256(b"".join(a.tobytes() for a in named)).hexdigest()
-    record = march(
-        scheme, problem, grid, cfl, watching, progress, tracker.happened,
-        keeper, case | {"data": data, "strict": strict},
-    )  # fmt: skip
+    identity = case | {"data": _fingerprint(problem, grid, scheme.W), "strict": strict}
+    record = march(scheme, problem, grid, cfl, watching, progress, tracker.happened, keeper, identity)
     kinks, events = tracker.result(record.times)
     vertical_steps = None
-    if steps:
-        vertical_steps, more = steps.result()
+    if problem.law.grows_linearly:
         # on a grid nothing tells of which kink a step has come: steps are numbered after all kinks
-        above = max([k.kink for k in kinks] + [e.kink for e in events], default=0)
-        vertical_steps = [s._replace(step=s.step + above) for s in vertical_steps]
-        more = [e._replace(kink=e.kink + above, into=e.into and e.into + above) for e in more]
+        taken = max([k.kink for k in kinks] + [e.kink for e in events], default=0)
+        vertical_steps, more = steps.result(taken)
         events = sorted(events + more, key=lambda e: (e.time, e.kink))
     u = record.W
     u += grid.nodes

@@ -159,9 +159,10 @@ class Panels:
                 pieces.append((p, -1.0, 1.0))
         return self.resampled(pieces, first)
 
-    def kept(self, keep: Array, first: Array) -> Panels:
-        """The panels of the given indices."""
+    def kept(self, keep: Array) -> Panels:
+        """The panels for which `keep` is true, in the same segments."""
         m = self.mesh
+        first = np.append(0, np.cumsum(keep))[m.first]
         mesh = Mesh(m.I[keep], m.dI[keep], m.half[keep], m.joined[keep], first)
         return replace(self, r=self.r[keep], X=self.X[keep], mesh=mesh)
 
@@ -188,8 +189,7 @@ class Panels:
         off_top[0] -= 2.0 * m.half[last + 1 :].sum()
         if keep.all():
             return self
-        first = np.concatenate([[0], np.cumsum(keep)])[m.first]
-        return replace(self.kept(np.flatnonzero(keep), first), off=np.maximum(off, 0.0), power=power, off_top=off_top)
+        return replace(self.kept(keep), off=np.maximum(off, 0.0), power=power, off_top=off_top)
 
 
 def cut_into_panels(problem: Problem, left: float) -> Panels:

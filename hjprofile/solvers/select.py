@@ -19,8 +19,9 @@ from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Kinks
 from hjprofile.solvers import closed_forms
 from hjprofile.solvers.characteristics import FINEST, READ, TOO_LONG, solve_characteristics
-from hjprofile.solvers.fronts import REACH, track_fronts
+from hjprofile.solvers.fronts import track_fronts
 from hjprofile.solvers.run import Array, Run
+from hjprofile.solvers.vertical_steps import REACH
 from hjprofile.solvers.whole_line import also_on_the_whole_line
 
 Progress = Callable[[float], None]
@@ -94,13 +95,6 @@ class _Search:
         return replace(run, case=case, account=account, wall_seconds=self.seconds)
 
 
-def candidates(problem: Problem) -> tuple[str, ...]:
-    """The methods that can solve this problem; one that only some can solve narrows the list here."""
-    if problem.profile.inflow:
-        return ("closed form", "grid")
-    return ("closed form", "fronts", "characteristics", "grid")
-
-
 @also_on_the_whole_line
 def least_work(
     problem: Problem,
@@ -113,13 +107,9 @@ def least_work(
 
     `on_grid` solves with a method on a grid. Raises RunError if nothing goes to its end.
     """
-    can = candidates(problem)
     search = _Search(problem, grid, tolerance, progress)
-    if "closed form" in can and _closed_form(search):
-        return search.result()
-    if "fronts" in can and _fronts_or_characteristics(search, "characteristics" in can):
-        return search.result()
-    if not search.done:
+    met = _closed_form(search) or (not problem.profile.inflow and _fronts_or_characteristics(search))
+    if not (met or search.done):
         for method in ("conservative", "godunov"):
             if _on_grids(search, method, on_grid):
                 break
@@ -140,7 +130,7 @@ def _closed_form(search: _Search) -> bool:
     return search.offer(run, "the closed form, which these data have")
 
 
-def _fronts_or_characteristics(search: _Search, characteristics: bool) -> bool:
+def _fronts_or_characteristics(search: _Search) -> bool:
     """Whether either of them meets the tolerance, the one that is thought to take less work first."""
     problem = search.problem
     if isinstance(problem.profile, Kinks):
@@ -150,12 +140,12 @@ def _fronts_or_characteristics(search: _Search, characteristics: bool) -> bool:
             estimate = 10.0 * max(run.volume_budget_error, ROUNDING * scale)
             if search.offer(run, "fronts, which are exact because the data are kinks only", estimate):
                 return True
-        return characteristics and _characteristics(search, np.inf, "because fronts do not reach it")
+        return _characteristics(search, np.inf, "because fronts do not reach it")
     ladder = _Ladder(search)
     needed = ladder.pilot()
     breaks = len(problem.profile.breaks(problem.law))
     least = QUICK + BREAK * breaks + READ * problem.kept
-    spent = 0.0 if characteristics else np.inf
+    spent = 0.0
     while True:
         work = ladder.work(needed)
         if work > max(least, 2.0 * spent):

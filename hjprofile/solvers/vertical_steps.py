@@ -6,7 +6,7 @@ time; what is made of smooth data moves by classical Runge-Kutta steps, second o
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.polynomial import polynomial as P
@@ -18,9 +18,9 @@ from hjprofile.solvers.run import Event, KinkRecord, VerticalStep
 
 PIECE = 0.1  # width of the pieces in ln(1+q): degree 7 leaves (PIECE/4)^8 = 2e-13
 END = np.log(1e12)  # ln(1+q) that stands for an infinite slope: the rest of R is then 1e-12
-REACH = 4.0  # spacings that the fastest front may cross in a step, as of other fronts
+REACH = 4.0  # spacings that the fastest front may cross in a step: then time adds little to the error of space
 TOLERANCE = 1e-12  # of the exact integration
-KINK = 4.0  # times the strength of an ordinary small front: a step of such a height is one, not a piece of a slope
+KINK = 4.0  # times the strength of an ordinary small front: one that has swallowed so much is a kink, or a step
 _Z = np.cos(np.pi * (np.arange(8) + 0.5) / 8)
 _FIT = np.linalg.inv(np.vander(_Z, 8, increasing=True)).T
 BLOW_UP = -2.0  # a log's mark of a blow-up
@@ -84,28 +84,61 @@ def _wait(event: Callable, rates: Callable, t: float, state: Array, h: float = 1
     return float(h * now / (event(t, state + h * rate) - now)) if now else 0.0
 
 
-class StepTracker:
-    """Kinks and steps on their way: arrays for the kernels, and what they have logged.
+class Tracker:
+    """Fronts on their way, the first `n` of the arrays that kernels move; and what they have logged.
+
+    Attributes:
+        strong: jump from which on a front is a kink or a step, KINK times `quantum`, that of an ordinary small front.
+        log: rows (t, kink, into, x), into = 0 a birth, -1 an exit, BLOW_UP a blow-up.
+        totals: ∫(K_left - 1) dt, ∫F(0) dt, the number of steps and the highest label.
+    """
+
+    x: Array
+    label: Array
+
+    def __init__(self, jump: Array, label: Array, room: int):
+        self.n, self.t = jump.size, 0.0
+        small = np.abs(jump[label == 0])
+        self.quantum = float(np.median(small)) if small.size else np.inf
+        self.strong = KINK * self.quantum
+        self.log, self.totals = np.zeros((2 * room + 2, 4)), np.zeros(4)
+        self.totals[3] = label.max(initial=0)
+        self.events: list[Event] = []
+
+    def _note(self, n: int, logged: int) -> None:
+        self.n = n
+        for t, kink, into, x in self.log[: max(logged, 0)].tolist():
+            name = {0.0: "birth", -1.0: "exit", BLOW_UP: "blow-up"}.get(into, "merge")
+            self.events.append(Event(t, name, int(kink), int(into) if into > 0 else None, x))
+
+    def _sides(self) -> Iterator[tuple[int, float, float, float]]:
+        """Of each front with a label that is no step: its place in the arrays, q on its sides, and its speed."""
+        raise NotImplementedError
+
+    def kinks(self) -> list[KinkRecord]:
+        """The kinks now, from left to right: both speeds are that of the front."""
+        return [
+            KinkRecord(self.t, int(self.label[j]), float(self.x[j]), before, after, after - before, speed, speed)
+            for j, before, after, speed in self._sides()
+            if after > before
+        ]
+
+
+class StepTracker(Tracker):
+    """Kinks and steps on their way.
 
     `x`, `jump` (of I), `label` are those of the fronts that data are cut into, and `spacing` of smooth ones.
     """
 
     def __init__(self, x: Array, jump: Array, label: Array, spacing: float, exact: bool, law: StepLaw):
+        room = max(x.size, 1) + (0 if exact else x.size + 64)
+        super().__init__(jump, label, room)
         self.law, self.exact, self.spacing = law, exact, spacing
-        self.n, self.t, self.steps = x.size, 0.0, 0
-        room = max(self.n, 1) + (0 if exact else self.n + 64)
-        small = np.abs(jump[label == 0])
-        self.quantum = float(np.median(small)) if small.size else np.inf
-        self.strong = KINK * self.quantum if small.size else np.inf
         self.x, self.jump, self.y, self.since, self.met = (np.zeros(room) for _ in range(5))
         self.label, self.is_step = np.zeros(room, dtype=np.int64), np.zeros(room, dtype=bool)
         self.x[: self.n], self.jump[: self.n], self.label[: self.n] = x, jump, label
         self.since[:] = self.met[:] = np.inf
         self.work = np.zeros((12, room))
-        self.log = np.zeros((2 * room + 2, 4))
-        self.totals = np.zeros(4)
-        self.totals[3] = label.max(initial=0)
-        self.events: list[Event] = []
         if not exact:
             self._sweep()
             q, strong, *rest = self._rest
@@ -127,12 +160,6 @@ class StepTracker:
         self._note(n, logged)
         self.t = end
         return bool(logged >= 0)
-
-    def _note(self, n: int, logged: int) -> None:
-        self.n = n
-        for t, kink, into, x in self.log[: max(logged, 0)].tolist():
-            name = {0.0: "birth", -1.0: "exit", BLOW_UP: "blow-up"}.get(into, "merge")
-            self.events.append(Event(t, name, int(kink), int(into) if into > 0 else None, x))
 
     def _sweep(self, x: Array | None = None, y: Array | None = None) -> None:
         """Fills `work` with v left and right, R left and right, heights, K on the right, speeds and drifts."""
@@ -174,7 +201,7 @@ class StepTracker:
                 part = solve_ivp(rates, (self.t, end), start, events=[meet, leave, room], **how)
                 if part.status < 0:
                     return False
-                self.steps += part.t.size - 1
+                self.totals[2] += part.t.size - 1
                 state, t = part.y[:, -1], float(part.t[-1])
                 happened = [times.size > 0 for times in part.t_events]
                 if any(happened):  # found on an interpolant, which is not as good as the steps
@@ -188,7 +215,6 @@ class StepTracker:
             self.x[:n], self.y[:n], self.totals[:2] = state[:n], np.maximum(state[n : 2 * n], 0.0), state[2 * n :]
             self._meet_or_leave(happened)
         self.t = end
-        self.totals[2] = self.steps
         return True
 
     def _meet_or_leave(self, happened: list[bool]) -> None:
@@ -231,18 +257,11 @@ class StepTracker:
         self._sweep()
         return float(kernels.volume(self.x, self.jump, self.n, self.work[0], self.work[1], self.law))
 
-    def kinks(self) -> list[KinkRecord]:
-        """The kinks now, from left to right: both speeds are that of the front."""
+    def _sides(self) -> Iterator[tuple[int, float, float, float]]:
         self._sweep()
         left, right = np.expm1(self.work[:2, : self.n])
-        return [
-            KinkRecord(
-                self.t, int(self.label[j]), float(self.x[j]), float(left[j]), float(right[j]),
-                float(right[j] - left[j]), float(self.work[6, j]), float(self.work[6, j]),
-            )
-            for j in range(self.n)
-            if self.label[j] > 0 and not self.is_step[j] and right[j] > left[j]
-        ]  # fmt: skip
+        for j in np.flatnonzero((self.label > 0)[: self.n] & ~self.is_step[: self.n]).tolist():
+            yield j, float(left[j]), float(right[j]), float(self.work[6, j])
 
     def vertical_steps(self) -> list[VerticalStep]:
         """The steps now, from left to right."""

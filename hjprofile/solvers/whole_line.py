@@ -133,8 +133,7 @@ class Window:
         if gone:  # what the run summed up on its way goes on beyond what is kept
             until = float(time[good][-1])
             lowered = run.u[good][0] - run.u[good][-1]
-            volume = self.grid.dx * float(np.sum(lowered) - 0.5 * (lowered[0] + lowered[-1]))
-            run = replace(run, eroded_volume=volume, outflow=np.nan)
+            run = replace(run, eroded_volume=self.grid.integral(lowered), outflow=np.nan)
         return replace(
             run,
             case={**run.case, **{name: case[name] for name in ("profile", "domain", "time")}},

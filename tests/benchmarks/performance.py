@@ -90,8 +90,8 @@ def window() -> str:
     problem = hj.Problem(hj.rational(), narrow, end=0.15, snapshots=2)
     grid, sound = hj.Grid(-10.0, 20_000), grid_kernels.flat_ends
 
-    def everywhere(y, first, last, left, right, negligible):
-        sound(y, 0, y.size - 1, left, right, negligible)
+    def everywhere(y, first, last, left, right):
+        sound(y, 0, y.size - 1, left, right)
         return 0, y.size - 1
 
     seconds: dict[str, list[float]] = {"part": [], "whole": []}

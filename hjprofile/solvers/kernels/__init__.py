@@ -1,6 +1,9 @@
 """Every compiled loop: arrays and floats in, arrays and floats out. The only room that knows numba."""
 
+from functools import wraps
+
 import numba
+from numba.extending import overload
 
 
 def compiled(function, **options):
@@ -15,3 +18,14 @@ def compiled(function, **options):
 def vectorised(function):
     """`compiled`, where a product and a sum may be rounded once instead of twice."""
     return compiled(function, fastmath={"contract"})
+
+
+def by_type(choose):
+    """A function for compiled loops whose code is chosen by type: `choose` takes the types of the arguments."""
+
+    @wraps(choose)
+    def chosen(*arguments):
+        raise NotImplementedError("for compiled loops only")
+
+    overload(chosen)(choose)
+    return chosen

@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from hjprofile.solvers.kernels import compiled
+from hjprofile.solvers.kernels.dormand_prince import STAGES, state_at, step_error
 from hjprofile.solvers.kernels.labels import (
     BEYOND,
     CLOSE,
@@ -99,55 +100,25 @@ def rates(y, t, mesh, rule, law, off, off_top, birth, power, tau, S, c, unborn, 
 
 
 @compiled
-def step(y, clock, h, origin, rule_A, B, E3, E5, mesh, rule, law, off, off_top, birth, power, tau, S, c, k, new):
-    """One step of Dormand and Prince's method of order 8 in t, or in z = sqrt(t - origin) where that is not NaN.
+def step(y, clock, h, origin, tableau, mesh, rule, law, off, off_top, birth, power, tau, S, c, k, new):
+    """Fills `new` by one step h > 0 in t, or in z = sqrt(t - origin) where that is not NaN.
 
     `k` (13, size of y) is workspace. Returns the error estimate (largest entry), and as `rates`.
     """
-    m = y.size
-    stage = np.empty(m)
     in_root = origin == origin
-    nodes = np.zeros(13)
-    for i in range(1, 12):
-        for j in range(i):
-            nodes[i] += rule_A[i, j]
-    nodes[12] = 1.0
-    for i in range(13):
-        for l in range(m):
-            stage[l] = 0.0
-        for j in range(min(i, 12)):
-            a = rule_A[i, j] if i < 12 else B[j]
-            if a != 0.0:
-                for l in range(m):
-                    stage[l] += a * k[j, l]
-        for l in range(m):
-            stage[l] = y[l] + h * stage[l]
-        z = clock + nodes[i] * h
+    for i in range(STAGES + 1):
+        state_at(i, y, h, k, tableau, new)
+        z = clock + h * (np.sum(tableau.A[i, :i]) if i < STAGES else 1.0)
         t = origin + z * z if in_root else z
         # all rates by z vanish at a birth: the second stage has the state of the first, at a later time
         unborn = origin if i == 1 and clock == 0.0 else math.nan
-        found = rates(stage, t, mesh, rule, law, off, off_top, birth, power, tau, S, c, unborn, k[i])
+        found = rates(new, t, mesh, rule, law, off, off_top, birth, power, tau, S, c, unborn, k[i])
         if found != 0:
             return math.inf, found
         if in_root:
-            for l in range(m):
+            for l in range(y.size):
                 k[i, l] *= 2.0 * z
-    fifth = third = 0.0
-    for l in range(m):
-        new[l] = stage[l]
-        e5 = e3 = 0.0
-        for i in range(13):
-            e5 += E5[i] * k[i, l]
-            e3 += E3[i] * k[i, l]
-        scale = 1.0 + abs(new[l])
-        e5, e3 = abs(e5) / scale, abs(e3) / scale
-        if not e5 <= fifth:
-            fifth = e5
-        if not e3 <= third:
-            third = e3
-    if not fifth < math.inf:
-        return math.inf, 0
-    return abs(h) * fifth * fifth / math.sqrt(fifth * fifth + 0.01 * third * third + 1e-300), 0
+    return step_error(h, k, tableau, new, 0), 0
 
 
 @compiled

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import types
-from numba.extending import intrinsic, overload
+from numba.extending import intrinsic
 
-from hjprofile.solvers.kernels import vectorised
+from hjprofile.solvers.kernels import by_type, vectorised
 
 PIECES = 11  # log2 of the pieces in each binade of 1 + q
 SHIFT = 52 - PIECES  # bits of a double that tell where in its piece 1 + q lies
@@ -40,34 +40,24 @@ class Tabulated(NamedTuple):
     first: int
 
 
-class Linear(NamedTuple):
+class Linear(Tabulated):
     """The same table, of a law of linear growth: f Δx is not small where the profile jumps (theory, §14)."""
 
-    c0: np.ndarray
-    c1: np.ndarray
-    c2: np.ndarray
-    d1: np.ndarray
-    first: int
+
+def _same_bits(given, wanted):
+    """The function from one type to another that leaves the bits as they are."""
+
+    @intrinsic
+    def cast(typing_context, value):
+        def generate(context, builder, signature, arguments):
+            return builder.bitcast(arguments[0], context.get_value_type(wanted))
+
+        return wanted(given), generate
+
+    return cast
 
 
-@intrinsic
-def _bits(typing_context, number):
-    """The bits of a double as an integer."""
-
-    def generate(context, builder, signature, arguments):
-        return builder.bitcast(arguments[0], context.get_value_type(types.int64))
-
-    return types.int64(types.float64), generate
-
-
-@intrinsic
-def _double(typing_context, bits):
-    """The double with these bits."""
-
-    def generate(context, builder, signature, arguments):
-        return builder.bitcast(arguments[0], context.get_value_type(types.float64))
-
-    return types.float64(types.int64), generate
+_bits, _double = _same_bits(types.float64, types.int64), _same_bits(types.int64, types.float64)
 
 
 @vectorised
@@ -112,58 +102,39 @@ def _read_f(p, law, f):
         f[l] = law.c0[j] + s * (law.c1[j] + s * law.c2[j])
 
 
-def is_table(law):
-    """Whether the law is read ahead of a loop."""
-
-
-def read(p, law, f, df):
-    """Fills f and f' at 1 + q = p, arrays of lanes, if the law is a table."""
-
-
-def read_f(p, law, f):
-    """Fills f alone."""
-
-
-def eroded(l, d, dx, law, f, df):
-    """f(q) dx and f'(q) in lane l for the mass d = q dx of a cell: by formula, or as read into f and df."""
-
-
-def eroded_with_mean(l, d, s, dx, law, f, df, f_mean):
-    """The same, and f dx at the mean of two neighbours with masses of sum s."""
-
-
+@by_type
 def slope_at_zero(law):
     """f'(0)."""
-
-
-@overload(slope_at_zero)
-def _slope_at_zero(law):
     if law.instance_class is Rational:
         return lambda law: 1.0
     return lambda law: law.c1[(_bits(1.0) >> SHIFT) - law.first]
 
 
-@overload(is_table)
-def _is_table(law):
+@by_type
+def is_table(law):
+    """Whether the law is read ahead of a loop."""
     return (lambda law: False) if law.instance_class is Rational else (lambda law: True)
 
 
-@overload(read)
-def _read_if_table(p, law, f, df):
+@by_type
+def read(p, law, f, df):
+    """Fills f and f' at 1 + q = p, arrays of lanes, if the law is a table."""
     if law.instance_class is Rational:
         return lambda p, law, f, df: None
     return lambda p, law, f, df: _read(p, law, f, df)
 
 
-@overload(read_f)
-def _read_f_if_table(p, law, f):
+@by_type
+def read_f(p, law, f):
+    """Fills f alone."""
     if law.instance_class is Rational:
         return lambda p, law, f: None
     return lambda p, law, f: _read_f(p, law, f)
 
 
-@overload(eroded)
-def _eroded(l, d, dx, law, f, df):
+@by_type
+def eroded(l, d, dx, law, f, df):
+    """f(q) dx and f'(q) in lane l for the mass d = q dx of a cell: by formula, or as read into f and df."""
     if law.instance_class is Rational:
 
         def rational(l, d, dx, law, f, df):
@@ -178,8 +149,9 @@ def _eroded(l, d, dx, law, f, df):
     return tabulated
 
 
-@overload(eroded_with_mean)
-def _eroded_with_mean(l, d, s, dx, law, f, df, f_mean):
+@by_type
+def eroded_with_mean(l, d, s, dx, law, f, df, f_mean):
+    """The same, and f dx at the mean of two neighbours with masses of sum s."""
     if law.instance_class is Rational:
 
         def rational(l, d, s, dx, law, f, df, f_mean):

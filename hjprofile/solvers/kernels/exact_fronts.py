@@ -8,17 +8,12 @@ import math
 import numpy as np
 
 from hjprofile.solvers.kernels import compiled
+from hjprofile.solvers.kernels.dormand_prince import STAGES, state_at, step_error
 from hjprofile.solvers.kernels.fronts import merge, note_events, outflow_at, speeds, sweep
 
 TOGETHER = 1e-13  # fronts no further apart are at one place
 ALIKE = 1e-10  # relative difference of speeds below which fronts at one place stay there
 IDLE = 1000  # steps in a row that bring nothing before the integration gives up
-
-
-@compiled
-def larger(a, b):
-    """The larger of the two; NaN if either is."""
-    return b if a <= b or b != b else a
 
 
 @compiled
@@ -33,21 +28,12 @@ def rates_of(y, jump, n, r0, law, work, rate):
 
 
 @compiled
-def dop853_step(y, rates, dt, jump, n, r0, law, A, B, work, stage, out):
-    """One step of Dormand and Prince's method of order 8; rates[0] is the rate at y."""
-    m = n + 2
-    for s in range(1, 12):
-        for i in range(m):
-            slope = 0.0
-            for k in range(s):
-                slope += A[s, k] * rates[k, i]
-            stage[i] = y[i] + dt * slope
-        rates_of(stage, jump, n, r0, law, work, rates[s])
-    for i in range(m):
-        slope = 0.0
-        for k in range(12):
-            slope += B[k] * rates[k, i]
-        out[i] = y[i] + dt * slope
+def step(y, rates, dt, jump, n, r0, law, tableau, work, new):
+    """Fills `new` by one step from y, of which rates[0] is the rate."""
+    for stage in range(1, STAGES):
+        state_at(stage, y, dt, rates, tableau, new)
+        rates_of(new, jump, n, r0, law, work, rates[stage])
+    state_at(STAGES, y, dt, rates, tableau, new)
 
 
 @compiled
@@ -95,8 +81,39 @@ def first_crossing(y, new, rates, dt, n):
 
 
 @compiled
+def first_event(y, rates, dt, jump, n, r0, law, tableau, work, new):
+    """From `new`, a step beyond an event, back to the first one: how long a step that takes, and which pair has met.
+
+    By Illinois' rule of false position on the fraction of the step.
+    """
+    low, high, side = 0.0, 1.0, 0
+    g_low, g_high = least_gap(y, y, n)[0], least_gap(new, y, n)[0]
+    theta, used, met = first_crossing(y, new, rates, dt, n), dt, -1
+    for _ in range(60):
+        used = theta * dt
+        step(y, rates, used, jump, n, r0, law, tableau, work, new)
+        gap, met = least_gap(new, y, n)
+        if abs(gap) <= 2e-15 * max(1.0, abs(new[met])) or high - low <= 2e-16:
+            break
+        if gap > 0.0:
+            low, g_low = theta, gap
+            if side == 1:
+                g_high *= 0.5
+            side = 1
+        else:
+            high, g_high = theta, gap
+            if side == -1:
+                g_low *= 0.5
+            side = -1
+        theta = low + (high - low) * g_low / (g_low - g_high)
+    if met == n - 1:
+        new[n - 1] = 0.0
+    return used, met
+
+
+@compiled
 def advance_exactly(
-    x, jump, label, since, smooth, n, t, end, r0, law, A, B, E3, E5, tolerance, strong, work, head, log, totals
+    x, jump, label, since, smooth, n, t, end, r0, law, tableau, tolerance, strong, work, head, log, totals
 ):
     """As `advance`, but to `tolerance`: adaptive steps of order 8, and each merge and exit found in its own time.
 
@@ -104,7 +121,7 @@ def advance_exactly(
     Where many steps in a row bring nothing, the first jump is set to NaN, which the reader of the fronts sees.
     """
     logged = stalled = 0
-    rates, y, stage, new = np.empty((13, n + 2)), np.empty(n + 2), np.empty(n + 2), np.empty(n + 2)
+    rates, room = np.empty((STAGES + 1, n + 2)), np.empty((2, n + 2))
     dt = 0.01 * (end - t)
     met = -1  # the pair (met, met + 1) of an event
     while n > 0:
@@ -126,22 +143,14 @@ def advance_exactly(
         if t >= end:
             break
 
-        m = n + 2
+        y, new = room[0, : n + 2], room[1, : n + 2]
         y[:n] = x[:n]
         y[n], y[n + 1] = totals[0], totals[1]
         dt = min(dt, end - t)
         while True:
-            dop853_step(y, rates, dt, jump, n, r0, law, A, B, work, stage, new)
-            rates_of(new, jump, n, r0, law, work, rates[12])
-            fifth = third = 0.0
-            for i in range(m):
-                e5 = e3 = 0.0
-                for k in range(13):
-                    e5 += E5[k] * rates[k, i]
-                    e3 += E3[k] * rates[k, i]
-                scale = 1.0 if i < n else 1.0 + abs(new[i])
-                fifth, third = larger(abs(e5) / scale, fifth), larger(abs(e3) / scale, third)
-            error = dt * fifth * fifth / math.sqrt(fifth * fifth + 0.01 * third * third + 1e-300) / tolerance
+            step(y, rates, dt, jump, n, r0, law, tableau, work, new)
+            rates_of(new, jump, n, r0, law, work, rates[STAGES])
+            error = step_error(dt, rates, tableau, new, n) / tolerance
             if dt < 1e-14 * end:
                 break
             if not error <= 1.0:
@@ -151,29 +160,8 @@ def advance_exactly(
             else:
                 break
         used = dt
-        if least_gap(new, y, n)[0] < 0.0:  # Illinois' rule of false position on the fraction of the step
-            low, high, side = 0.0, 1.0, 0
-            g_low, g_high = least_gap(y, y, n)[0], least_gap(new, y, n)[0]
-            theta = first_crossing(y, new, rates, dt, n)
-            for _ in range(60):
-                used = theta * dt
-                dop853_step(y, rates, used, jump, n, r0, law, A, B, work, stage, new)
-                gap, met = least_gap(new, y, n)
-                if abs(gap) <= 2e-15 * max(1.0, abs(new[met])) or high - low <= 2e-16:
-                    break
-                if gap > 0.0:
-                    low, g_low = theta, gap
-                    if side == 1:
-                        g_high *= 0.5
-                    side = 1
-                else:
-                    high, g_high = theta, gap
-                    if side == -1:
-                        g_low *= 0.5
-                    side = -1
-                theta = low + (high - low) * g_low / (g_low - g_high)
-            if met == n - 1:
-                new[n - 1] = 0.0
+        if least_gap(new, y, n)[0] < 0.0:
+            used, met = first_event(y, rates, dt, jump, n, r0, law, tableau, work, new)
         stalled = stalled + 1 if used < 1e-13 * end else 0
         if stalled > IDLE:
             jump[0] = math.nan

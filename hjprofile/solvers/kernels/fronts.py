@@ -9,9 +9,7 @@ import math
 from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.law import law_decay, law_derivatives, law_f, law_flow, law_q_f
 
-STEP_FLOOR = (
-    1e-7  # of the way to a saved time: more steps than this allows, of some 0.3 ms each, would take an hour, ...
-)
+STEP_FLOOR = 1e-7  # of the way to a saved time: more steps than it allows, of 0.3 ms each, would take an hour, ...
 PATIENCE = 3000  # ... but the first ones can be much shorter than those after them
 
 
@@ -177,15 +175,14 @@ def advance(x, jump, label, since, smooth, n, t, end, reach, spacing, r0, near, 
     """
     logged = 0
     floor, short = STEP_FLOOR * (end - t), 0
-    k1, k2, k3, k4, y, r_left, r_right, K = work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7]
-    while t < end:
-        if n == 0:
-            break
-        speeds(x, jump, n, top_front(x, n), r0, near, law, r_left, r_right, K, k1)
+    k, y, r_left, r_right, K = work[:4], work[4], work[5], work[6], work[7]
+    speed = k[0]
+    while t < end and n > 0:
+        speeds(x, jump, n, top_front(x, n), r0, near, law, r_left, r_right, K, speed)
         fastest = 0.0
         for j in range(n):
             folds = spacing * abs(law_q_f(r_right[j], law)[1])
-            fastest = max(fastest, k1[j] * max(1.0, 2.0 * folds))
+            fastest = max(fastest, speed[j] * max(1.0, 2.0 * folds))
         dt = reach * spacing / fastest
         if not dt > floor:  # K is without bound below a slope with q near -1
             short += 1
@@ -195,36 +192,25 @@ def advance(x, jump, label, since, smooth, n, t, end, reach, spacing, r0, near, 
             dt = end - t
         elif 2.0 * dt > end - t:
             dt = 0.5 * (end - t)
-        growth, outflow = K[0] - 1.0, outflow_at(x, top_front(x, n), r_right, law)
+        growth = outflow = 0.0
+        for stage in range(4):
+            if stage > 0:
+                part = dt if stage == 3 else 0.5 * dt
+                for j in range(n):
+                    y[j] = x[j] + part * k[stage - 1, j]
+                speeds(y, jump, n, top_front(y, n), r0, near, law, r_left, r_right, K, k[stage])
+            weight, at = 2.0 if stage in (1, 2) else 1.0, y if stage > 0 else x
+            growth += weight * (K[0] - 1.0)
+            outflow += weight * outflow_at(at, top_front(at, n), r_right, law)
         for j in range(n):
-            y[j] = x[j] + 0.5 * dt * k1[j]
-        speeds(y, jump, n, top_front(y, n), r0, near, law, r_left, r_right, K, k2)
-        growth += 2.0 * (K[0] - 1.0)
-        outflow += 2.0 * outflow_at(y, top_front(y, n), r_right, law)
-        for j in range(n):
-            y[j] = x[j] + 0.5 * dt * k2[j]
-        speeds(y, jump, n, top_front(y, n), r0, near, law, r_left, r_right, K, k3)
-        growth += 2.0 * (K[0] - 1.0)
-        outflow += 2.0 * outflow_at(y, top_front(y, n), r_right, law)
-        for j in range(n):
-            y[j] = x[j] + dt * k3[j]
-        speeds(y, jump, n, top_front(y, n), r0, near, law, r_left, r_right, K, k4)
-        growth += K[0] - 1.0
-        outflow += outflow_at(y, top_front(y, n), r_right, law)
-        for j in range(n):
-            x[j] += dt / 6.0 * (k1[j] + 2.0 * (k2[j] + k3[j]) + k4[j])
+            x[j] += dt / 6.0 * (k[0, j] + 2.0 * (k[1, j] + k[2, j]) + k[3, j])
         totals[0] += dt / 6.0 * growth
         totals[1] += dt / 6.0 * outflow
         totals[2] += 1.0
         t = end if dt == end - t else t + dt
-        sweep(x, jump, n, top_front(x, n), r0, near, law, r_left, r_right, k1, K)
-        for j in range(n):
-            k1[j] *= K[j]
-        n, logged = merge(
-            x, jump, label, since, smooth, k1, n, t, r_left, r_right, law,
-            work[8:], head, log, logged,
-        )  # fmt: skip
-        n, logged = note_events(x, jump, label, since, strong, k1, n, t, log, logged, totals)
+        speeds(x, jump, n, top_front(x, n), r0, near, law, r_left, r_right, K, speed)
+        n, logged = merge(x, jump, label, since, smooth, speed, n, t, r_left, r_right, law, work[8:], head, log, logged)
+        n, logged = note_events(x, jump, label, since, strong, speed, n, t, log, logged, totals)
     return n, logged
 
 

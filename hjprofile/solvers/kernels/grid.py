@@ -6,6 +6,7 @@ Nodes carry index 0..N, cells 0..N-1; cell i lies between nodes i and i+1.
 from hjprofile.solvers.kernels import compiled, vectorised
 
 FLOOR_SHARE = 0.5  # part of 1 + q by which an edge value may lie from its mean, which keeps q > -1
+NEGLIGIBLE = 1e-40  # differences of W or q that are made none
 GHOSTS = 3  # cells beyond either end that reconstructions may ask for
 
 
@@ -27,15 +28,15 @@ def fastest(K, df):
 
 
 @compiled
-def flat_ends(y, first, last, left, right, negligible):
+def flat_ends(y, first, last, left, right):
     """Moves `first` up and `last` down to where y is not `left`, or not `right`; what hardly differs is made the same.
 
     Without that a tail that decays for ever would end in denormal numbers.
     """
-    while first < last and abs(y[first] - left) <= negligible:
+    while first < last and abs(y[first] - left) <= NEGLIGIBLE:
         y[first] = left
         first += 1
-    while last > first and abs(y[last] - right) <= negligible:
+    while last > first and abs(y[last] - right) <= NEGLIGIBLE:
         y[last] = right
         last -= 1
     return first, last

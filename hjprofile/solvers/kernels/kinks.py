@@ -55,12 +55,8 @@ def _exponent(q, first, stop, dx, law):
             for l in range(LANES):
                 row[l] = 1.0 + row[l]
             read(row, law, f, df)
-            for l in range(LANES):
-                total[l] += f[l] * dx
-        else:
-            for l in range(LANES):
-                z, _ = eroded(l, row[l] * dx, dx, law, f, df)
-                total[l] += z
+        for l in range(LANES):
+            total[l] += eroded(l, row[l] * dx, dx, law, f, df)[0]
     return total.sum()
 
 

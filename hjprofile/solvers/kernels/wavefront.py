@@ -13,9 +13,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba.extending import overload
 
-from hjprofile.solvers.kernels import vectorised
+from hjprofile.solvers.kernels import by_type, vectorised
 from hjprofile.solvers.kernels.erosion import (
     LANES,
     Linear,
@@ -89,52 +88,23 @@ def fine_growth(z):
     return 1.0 + z * (1.0 + z * (0.5 + z * (1.0 / 6.0 + z * (1.0 / 24.0))))
 
 
+@by_type
 def thickening(law, z):
     """K_{i-1}/K_i in schemes of first order: `growth`, or e^z for a law of linear growth (theory, §14)."""
-
-
-@overload(thickening)
-def _thickening(law, z):
     return (lambda law, z: math.exp(z)) if law.instance_class is Linear else (lambda law, z: growth(z))
 
 
+@by_type
 def steepest(law, z):
     """Its derivative by z, or 1 where that is larger: what f' is multiplied by in the telescoping flux."""
-
-
-@overload(steepest)
-def _steepest(law, z):
     if law.instance_class is Linear:
         return lambda law, z: math.exp(max(z, 0.0))
     return lambda law, z: 1.0 + max(z, 0.0)
 
 
-def looks_ahead(flux):
-    """Whether the flux needs q on the right of its node."""
-
-
-def is_local(flux):
-    """Whether the flux has a viscosity of its own at each node; `node_flux` then gives its speed without K."""
-
-
-def node_flux(flux, law, l, K, d, d_right, df_right, dx, rows):
-    """At a node, from d = q dx on either side: f dx and f' on its left, F dx, and the K f' that bounds the step."""
-
-
+@by_type
 def read_factor(factor, node, lag, k):
     """Fills k, an array of lanes, if the factor is given: at `node` in the first level, `lag` more in each next."""
-
-
-def factor_at(own, factor, k):
-    """The factor: `own`, which K of the state comes to, or k, which was read."""
-
-
-def across(K, z, factor, k):
-    """From K right of a cell, f dx in it and k, read on its left: K in its middle, and its rise to the left by that."""
-
-
-@overload(read_factor)
-def _read_factor(factor, node, lag, k):
     if factor.instance_class is Nonlocal:
         return lambda factor, node, lag, k: None
 
@@ -147,13 +117,15 @@ def _read_factor(factor, node, lag, k):
     return given
 
 
-@overload(factor_at)
-def _factor_at(own, factor, k):
+@by_type
+def factor_at(own, factor, k):
+    """The factor: `own`, which K of the state comes to, or k, which was read."""
     return (lambda own, factor, k: own) if factor.instance_class is Nonlocal else (lambda own, factor, k: k)
 
 
-@overload(across)
-def _across(K, z, factor, k):
+@by_type
+def across(K, z, factor, k):
+    """From K right of a cell, f dx in it and k, read on its left: K in its middle, and its rise to the left by that."""
     if factor.instance_class is Nonlocal:
         return lambda K, z, factor, k: (K * (1.0 + 0.5 * z), z)
 
@@ -164,19 +136,22 @@ def _across(K, z, factor, k):
     return given
 
 
-@overload(looks_ahead)
-def _looks_ahead(flux):
+@by_type
+def looks_ahead(flux):
+    """Whether the flux needs q on the right of its node."""
     central = flux.instance_class in (LocalLaxFriedrichs, LaxFriedrichs)
     return (lambda flux: True) if central else (lambda flux: False)
 
 
-@overload(is_local)
-def _is_local(flux):
+@by_type
+def is_local(flux):
+    """Whether the flux has a viscosity of its own at each node; `node_flux` then gives its speed without K."""
     return (lambda flux: True) if flux.instance_class is LocalLaxFriedrichs else (lambda flux: False)
 
 
-@overload(node_flux)
-def _node_flux(flux, law, l, K, d, d_right, df_right, dx, rows):
+@by_type
+def node_flux(flux, law, l, K, d, d_right, df_right, dx, rows):
+    """At a node, from d = q dx on either side: f dx and f' on its left, F dx, and the K f' that bounds the step."""
     kind = flux.instance_class
     if kind is Godunov:
 
