@@ -4,6 +4,7 @@ import dataclasses
 import io
 import xml.etree.ElementTree as ET
 from functools import lru_cache
+from operator import attrgetter
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import hjprofile as hj
 from hjprofile.evidence.tracing import traceable_law
 from hjprofile.output.plots import style
 from hjprofile.output.plots.runs import draw_diagram, draw_factor, draw_profiles, pictures
+from hjprofile.output.plots.studies import draw_fit
 
 COLUMN = 85.0 / 25.4  # inches, of a journal
 SMALLEST = 6.0  # points that can be read there
@@ -61,7 +63,8 @@ def test_the_scenes_are_what_they_are_called():
     assert {name for name in SCENES if not solved(name).done} == {"failed", "failed at once"}
     assert {name for name in SCENES if not solved(name).kinks} == {"no kinks", "flat"}
     assert {name for name in SCENES if solved(name).time.size == 1} == {"one snapshot", "no time", "failed at once"}
-    assert not solved("flat").q.any() and len(solved("many kinks").kinks_at(0)) == 12 and solved("survey").units
+    assert not solved("flat").q.any() and solved("survey").units
+    assert len(solved("many kinks").kinks_at(0)) == 12 > style.DOTS
     assert {e.event for e in solved("steps").events} >= {"blow-up"} and solved("steps").vertical_steps
 
 
@@ -185,6 +188,28 @@ def test_a_survey_is_drawn_in_its_own_units(draw):
         assert top.lines[0].get_ydata()[-1] == pytest.approx(run.units.height_top, rel=1e-12)  # sums over the cells
 
 
+@draw
+def test_what_is_poured_on_a_survey_is_a_volume_in_its_units(draw):
+    """L² c end, with as many digits as there is room for; where nothing has units it is t."""
+    for name in ("survey", "kinks"):
+        run, figure = solved(name), drawn(name, draw)
+        (axes,) = plain(figure) if draw is draw_diagram else set(figure.axes) - set(plain(figure))
+        volume = 200.0**2 * 0.257 if name == "survey" else 1.0
+        assert axes.get_ylim() == pytest.approx((0.0, volume * run.time[-1]), rel=1e-15)
+        label = "poured in: volume per width" if name == "survey" else "t: mass of grains poured in"
+        assert axes.get_ylabel() == label
+
+
+@pytest.mark.parametrize(("length", "last"), [(0.2, "0.005"), (200.0, "5,000"), (40000.0, "2e8")])
+def test_numbers_of_a_volume_have_room(length, last):
+    """Kilometres, metres, and a survey in feet of a slope far larger than any."""
+    run = solved("survey")
+    figure = draw_diagram(dataclasses.replace(run, units=dataclasses.replace(run.units, length=length)))
+    figure.canvas.draw()
+    assert_legible(figure)
+    assert [t.get_text() for t in plain(figure)[0].get_yticklabels()][-2:].count(last)
+
+
 @drawings
 def test_titles(name, draw):
     """The title stands there in full, with the method and the reason why a run stopped."""
@@ -219,11 +244,12 @@ def test_kinks_and_their_paths_are_on_the_profiles(name):
     assert {0, run.time.size - 1} <= set(shown) and len(profiles) == min(run.time.size, style.LINES)
     for axes, heights in ((top, u), (middle, u - u[0])):
 
-        def places(index, heights=heights):
-            seen = [(float(scale(k.x)), i) for i in index for k in run.kinks_at(i)]
+        def places(index, most=None, heights=heights):
+            strongest = {i: sorted(run.kinks_at(i), key=attrgetter("jump"), reverse=True)[:most] for i in index}
+            seen = [(float(scale(k.x)), i) for i in index for k in strongest[i]]
             return {(at, float(np.interp(at, x, heights[i]))) for at, i in seen}
 
-        assert points(axes, "o") == places(shown)
+        assert points(axes, "o") == places(shown, most=style.DOTS)
         paths = [line for line in axes.lines if line.get_marker() == "None" and len(line.get_xdata()) != x.size]
         trail = {(float(a), float(b)) for line in paths for a, b in zip(*line.get_data(), strict=True)}
         assert trail == places(range(run.time.size)) and len(paths) == len({k.kink for k in run.kinks})
@@ -235,16 +261,16 @@ def test_kinks_and_their_paths_are_on_the_profiles(name):
 def test_kinks_and_events_are_on_the_diagram(name):
     run = solved(name)
     (axes,) = plain(drawn(name, draw_diagram))
-    scale = run.units.x if run.units else float
+    scale, unit = (run.units.x, run.units.volume) if run.units else (float, 1.0)
     paths = [line for line in axes.lines if line.get_linewidth() == 1.3]
     found = {(float(x), float(t)) for line in paths for x, t in zip(line.get_xdata(), line.get_ydata(), strict=True)}
     numbers = {k.kink for k in run.kinks} | {s.step for s in run.vertical_steps or ()}
     there = [*run.kinks, *(run.vertical_steps or ()), *(e for e in run.events if e.kink in numbers)]
-    assert found == {(float(scale(r.x)), r.time) for r in there} and len(paths) == len(numbers)
+    assert found == {(float(scale(r.x)), unit * r.time) for r in there} and len(paths) == len(numbers)
     for line in paths:  # a line through one point is invisible
         assert len(line.get_xdata()) > 1 or line.get_marker() == "."
     for event, marker in (("birth", "o"), ("merge", "^"), ("exit", "s"), ("blow-up", "*")):
-        expected = {(float(scale(e.x)), e.time) for e in run.events if e.event == event}
+        expected = {(float(scale(e.x)), unit * e.time) for e in run.events if e.event == event}
         assert points(axes, marker) == expected
         assert (event in keys_of(drawn(name, draw_diagram))) == bool(expected)
     traced = [line for line in axes.lines if line.get_linewidth() < 0.5]
@@ -322,3 +348,18 @@ def test_rounding_is_not_drawn_as_relief():
     assert -norm.vmin == norm.vmax > 0.01
     norm = plain(drawn("kinks", draw_diagram))[0].images[0].norm
     assert norm.vmax == solved("kinks").q.max() and norm.vcenter == 0
+
+
+def test_a_fit_is_legible_and_says_what_it_found():
+    run = solved("survey")
+    x = np.linspace(run.units.x(-12.0), run.units.x_top, 20)
+    truth = np.interp(x, run.units.x(run.x), run.units.height(run.u[-1]))
+    found = hj.fit("hillslope", x, truth + 0.1 * (-1.0) ** np.arange(20), ["time.end"])
+    figure = draw_fit(found)
+    figure.canvas.draw()
+    assert_legible(figure)
+    title, *lines = [text.get_text() for text in figure.texts]
+    assert title == found.title and [line.split(" = ")[0] for line in lines] == ["time.end", "poured_volume"]
+    value, low, high = (float(word.strip(",").replace(",", "")) for word in np.array(lines[1].split())[[2, 3, 5]])
+    assert low < found.volume.value < high and value == pytest.approx(found.volume.value, abs=0.5)
+    assert len(keys_of(figure)) == 4 and all(axes.get_ylabel() for axes in figure.axes)

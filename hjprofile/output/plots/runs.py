@@ -54,10 +54,9 @@ def draw_profiles(run: Run) -> Figure:
         middle.plot(x, u[i] - u[0], color=colour(i), lw=0.9)
         bottom.plot(run.x_cell if not run.units else run.units.x(run.x_cell), run.q[i], color=colour(i), lw=0.9)
     for axes, heights in ((top, u), (middle, u - u[0])):
-        for at, height, index in style.kinks_on(run, x, heights):
+        for at, height, _ in style.kinks_on(run, x, heights):
             axes.plot(at, height, color=INK, lw=0.6, zorder=2.5)
-            marked = np.isin(index, shown)
-            axes.plot(at[marked], height[marked], **DOT, ls="none", zorder=3)
+        style.dot_kinks(axes, run, x, heights, shown)
     style.legend_above(figure, keys)
     top.set_ylabel(u_label)
     middle.set_ylabel("change of height")
@@ -101,13 +100,14 @@ def draw_diagram(run: Run) -> Figure:
     rows = -(-len(keys) // 5)
     figure = style.sheet(run.title, style.about(run), rows, 3.1)
     axes = figure.subplots()
+    unit, t_label, numbers = style.axis_of_time(run)
     (first, last), norm = span(run.time), _norm_of_q(run)
     times, places = (a + (b - a) * (np.arange(n) + 0.5) / n for (a, b), n in zip(
         ((first, last), (run.x[0], run.x[-1])), RASTER, strict=True
     ))  # fmt: skip
     sheet = axes.imshow(
         slope_between(run, times, places), cmap=EXCESS, norm=norm, origin="lower", aspect="auto",
-        extent=(x[0], x[-1], first, last), interpolation="nearest",
+        extent=(x[0], x[-1], unit * first, unit * last), interpolation="nearest",
     )  # fmt: skip
     bar = style.bar_of(figure, sheet, "excess slope q")
     least, most = _ends_of_q(run, norm)
@@ -116,25 +116,26 @@ def draw_diagram(run: Run) -> Figure:
     bar.yaxis.set_major_formatter(lambda q, _: f"{q:g}".replace("-", "−"))
     bar.set_ylim(least, most)
     if run.time.size == 1:
-        axes.set_yticks([float(run.time[0])])
+        axes.set_yticks([unit * float(run.time[0])])
     if traced is not None:
-        axes.plot(scale(traced), run.time, color=INK, lw=0.45, alpha=0.55)
+        axes.plot(scale(traced), unit * run.time, color=INK, lw=0.45, alpha=0.55)
     steps = {s.step for s in run.vertical_steps or ()}
     for number, path in kink_paths(run).items():
         dot = "." if path.x.size == 1 else None  # a line through one point is invisible
-        axes.plot(scale(path.x), path.time, color=INK, lw=1.3, marker=dot, solid_capstyle="round")
+        axes.plot(scale(path.x), unit * path.time, color=INK, lw=1.3, marker=dot, solid_capstyle="round")
         if number in steps:
             after = np.isin(path.time, [s.time for s in run.vertical_steps or () if s.step == number])
-            axes.plot(scale(path.x[after]), path.time[after], color=INK, lw=2.6, marker=dot)
+            axes.plot(scale(path.x[after]), unit * path.time[after], color=INK, lw=2.6, marker=dot)
     for kind, marker in _EVENTS.items():
         marks = [e for e in run.events if e.event == kind]
         if marks:
             at = scale(np.array([e.x for e in marks]))
-            axes.plot(at, [e.time for e in marks], **marker, clip_on=False, zorder=3)
+            axes.plot(at, [unit * e.time for e in marks], **marker, clip_on=False, zorder=3)
     style.legend_above(figure, keys, rows)
-    axes.set_ylabel("t: mass of grains poured in")
+    axes.set_ylabel(t_label)
+    axes.yaxis.set_major_formatter(numbers)
     style.axis_of_x(axes, x, x_label)
-    axes.set_ylim(first, last)
+    axes.set_ylim(unit * first, unit * last)
     return figure
 
 
@@ -206,9 +207,7 @@ def draw_factor(run: Run) -> Figure:
     shown, colour = style.shown_times(run)
     for i in shown:
         axes.plot(x, run.K[i], color=colour(i), lw=0.9)
-    for at, height, index in style.kinks_on(run, x, run.K):
-        marked = np.isin(index, shown)
-        axes.plot(at[marked], height[marked], **DOT, ls="none", zorder=3)
+    style.dot_kinks(axes, run, x, run.K, shown)
     if run.K.max() > 10.0 * run.K.min():
         axes.set_yscale("log")
         style.plain_numbers(axes.yaxis)

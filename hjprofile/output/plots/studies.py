@@ -12,6 +12,7 @@ from hjprofile.evidence.calibration import Calibration
 from hjprofile.evidence.chart import Point, Reference, pareto
 from hjprofile.evidence.dependence import Distance, largest_distances, observed_constant
 from hjprofile.evidence.stability import FAILS, HOLDS, LOSES, OSCILLATES, Trial
+from hjprofile.output.plots import style
 from hjprofile.output.plots.style import DEPOSITED, ERODED, new_figure, png
 
 # method -> colour and marker; a form's carried-over fluxes share its colour and are drawn lightly. Okabe and Ito's
@@ -210,39 +211,43 @@ def draw_dependence(distances: Sequence[Distance]) -> Figure:
     return figure
 
 
-def fit_picture(found: Calibration) -> bytes:
+def fit_picture(found: Calibration) -> bytes | str:
     """PNG of `draw_fit`."""
-    return png(draw_fit(found))
+    return style.encode(draw_fit(found), "png")
 
 
+@style.styled
 def draw_fit(found: Calibration) -> Figure:
     """Both surveys with the fitted profile; below it how far the slope has moved; below that what the fit leaves."""
-    figure = new_figure(8.0, 7.6)
-    top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 1.4])
-    x, before, after = found.curve
-    start = np.interp(found.x, x, before)
-    points = {"ls": "none", "marker": "o", "ms": 3.5, "mfc": "white", "mec": ERODED, "label": "measured after"}
-    top.plot(x, before, color="0.45", lw=1.1, ls="--", label="before")
-    top.plot(x, after, color=DEPOSITED, lw=1.4, label="fitted after")
-    top.plot(found.x, found.measured, **points)
-    middle.plot(x, after - before, color=DEPOSITED, lw=1.4)
-    middle.plot(found.x, found.measured - start, **points)
-    bottom.axhspan(-1.96 * found.sigma, 1.96 * found.sigma, color="0.9", lw=0, label="±1.96 sigma")
-    bottom.plot(found.x, found.measured - found.modelled, **(points | {"label": "_"}))
-    for axes in (middle, bottom):
-        axes.axhline(0.0, color="0.6", lw=0.6, zorder=0)
-    of_survey = " (units of the survey)" if found.case["profile"]["kind"] == "survey" else ""
-    top.set_title(found.title, loc="left", fontweight="bold")
+
+    def written(value: float) -> str:
+        return style.amount(value) if value >= 1000.0 else f"{value:.4g}"
+
     lines = [
-        f"{p.name} = {p.value:.4g}" + (f"  [{p.low:.4g}, {p.high:.4g}]" if np.isfinite(p.low) else "  undetermined")
+        f"{p.name} = {written(p.value)}, "
+        + (f"{written(p.low)} to {written(p.high)} (95 %)" if np.isfinite(p.low) else "undetermined")
         for p in (*found.parameters, *([found.volume] if found.volume else []))
     ]
-    top.text(0.985, 0.04, "\n".join(lines), transform=top.transAxes, ha="right", va="bottom", fontsize=8)
-    top.legend(loc="upper left", fontsize=8, frameon=False)
-    bottom.legend(loc="best", fontsize=8, frameon=False)
-    top.set_ylabel("height" + of_survey)
+    figure = style.sheet(found.title, lines, 1, 4.9, right=0.16)
+    top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
+    x, before, after = found.curve
+    start = np.interp(found.x, x, before)
+    points = style.DOT | {"ls": "none", "mec": ERODED, "label": "measured after"}
+    keys = top.plot(x, before, color=style.PALE, lw=0.8, ls=(0, (4, 2)), label="before")
+    keys += top.plot(x, after, color=DEPOSITED, lw=1.1, label="fitted after")
+    keys += top.plot(found.x, found.measured, **points)
+    middle.plot(x, after - before, color=DEPOSITED, lw=1.1)
+    middle.plot(found.x, found.measured - start, **points)
+    wide = 1.96 * found.sigma
+    keys.append(bottom.axhspan(-wide, wide, color="0.9", lw=0, label="±1.96 sigma"))
+    bottom.plot(found.x, found.measured - found.modelled, **points)
+    for axes in (middle, bottom):
+        axes.axhline(0.0, color="0.6", lw=0.6, zorder=0)
+    style.legend_above(figure, keys)
+    survey = found.case["profile"]["kind"] == "survey"
+    top.set_ylabel("height (survey)" if survey else "height u")
     middle.set_ylabel("change of height")
     bottom.set_ylabel("measured - fitted")
-    bottom.set_xlabel("x" + of_survey)
-    bottom.set_xlim(x[0], x[-1])
+    style.axis_of_x(bottom, x, "x (units of the survey)" if survey else "x (in exchange lengths)")
+    figure.align_ylabels([top, middle, bottom])
     return figure

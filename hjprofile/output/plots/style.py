@@ -28,6 +28,7 @@ TITLE, LINE = 10.5, 0.17  # points; inches from one line of text to the next
 TOO_LONG = 46, 66  # characters of a title and of a line below it that a sheet has no room for
 LEFT = 0.8  # inches left of the axes
 LINES = 7  # profiles that are drawn; more hide each other
+DOTS = 7  # kinks that have a dot on each of them, the strongest: every point of a noisy survey can be one
 
 # Okabe and Ito's colours, which can be told apart without red and green
 ERODED, DEPOSITED = "#D55E00", "#0072B2"
@@ -155,6 +156,17 @@ def span(time: Array) -> tuple[float, float]:
     return (first, last) if last > first else (first - 0.5, first + 0.5)
 
 
+def axis_of_time(run: Run) -> tuple[float, str, Callable[[float, float], str]]:
+    """What one unit of t is on an axis, the label of that axis and the formatter of its numbers.
+
+    Of a survey it is the volume per unit width that was poured in, in the survey's units.
+    """
+    unit = run.units.volume if run.units else 1.0
+    many = unit * float(run.time[-1]) >= 1e5  # their digits would have no room
+    label = "poured in: volume per width" if run.units else "t: mass of grains poured in"
+    return unit, label, lambda v, _: f"{v:.3g}".replace("e+0", "e") if many else f"{v:,g}"
+
+
 def shown_times(run: Run) -> tuple[Array, Callable[[int], Any]]:
     """The saved times that are drawn, and the colour of each."""
     norm = Normalize(*span(run.time))
@@ -183,9 +195,11 @@ def round_numbers(low: float, high: float, most: int) -> list[float]:
 
 def bar_of_times(figure: Figure, run: Run) -> None:
     """The colour bar of `shown_times`."""
-    axes = bar_of(figure, ScalarMappable(Normalize(*span(run.time)), TIMES), "t: mass of grains poured in")
+    unit, label, numbers = axis_of_time(run)
+    axes = bar_of(figure, ScalarMappable(Normalize(*span(unit * run.time)), TIMES), label)
+    axes.yaxis.set_major_formatter(numbers)
     if run.time.size == 1:
-        axes.set_yticks([float(run.time[0])])
+        axes.set_yticks([unit * float(run.time[0])])
 
 
 def kinks_on(run: Run, x: Array, heights: Array) -> list[tuple[Array, Array, Array]]:
@@ -198,6 +212,15 @@ def kinks_on(run: Run, x: Array, heights: Array) -> list[tuple[Array, Array, Arr
         at = scale(np.array([k.x for k in mine]))
         found.append((at, np.array([np.interp(a, x, heights[i]) for a, i in zip(at, index, strict=True)]), index))
     return found
+
+
+def dot_kinks(axes: Axes, run: Run, x: Array, heights: Array, shown: Array) -> None:
+    """A dot for each of the DOTS strongest kinks at each of the `shown` saved times, on curves as in `kinks_on`."""
+    scale = run.units.x if run.units else np.asarray
+    for i in shown:
+        strongest = sorted(run.kinks_at(i), key=lambda kink: kink.jump)[-DOTS:]
+        at = scale(np.array([kink.x for kink in strongest]))
+        axes.plot(at, np.interp(at, x, heights[i]), **DOT, ls="none", zorder=3)
 
 
 def change_of(u: Array, first: Array, x: Array) -> tuple[float, float]:
