@@ -172,7 +172,8 @@ class Run:
             law has none.
         bounds: name -> Verdict for each a-priori fact and budget that was watched.
         eroded_volume: ∫(u(0,x) - u(t,x)) dx at the end.
-        outflow: ∫F(x = 0) dt at the end: excess slope that has left at the top.
+        outflow: ∫F(x = 0) dt at the end: excess slope that has left at the top, by which the top was lowered. What left
+            at the foot is what was poured in plus `eroded_volume`.
         volume_budget_error: the most by which the eroded volume ever differed from ∫(K(left) - 1) dt.
         error_estimate: of sup|u - exact u| over all saved times, where the method knows one, else None.
         units: the way back to a survey's units, else None.

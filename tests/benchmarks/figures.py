@@ -16,7 +16,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 
-# script -> the seconds it took on two busy cores, and what it draws in docs/figures
+# script -> the seconds it took on two cores, and what it draws in docs/figures
 MAKES: dict[str, tuple[int, tuple[str, ...]]] = {
     "pictures.py": (18, (
         "hillslope.png", "hillslope_diagram.png", "hillslope.gif", "two_kinks.png", "comparison.png", "factor.png",

@@ -15,14 +15,14 @@ FIGURE = Path(__file__).resolve().parents[2] / "docs" / "figures" / "sweep.png"
 EXPONENTS = [0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0]
 ENDS = [0.5 * i for i in range(1, 9)]
 VARY = {"erosion.law": ["power"], "domain.cells": [4800], "erosion.m": EXPONENTS, "time.end": ENDS}
-PAIRS = 3  # of one worker and two, in turn: a machine that others use is not the same a minute later
+PAIRS = 3  # of one worker and two, in turn: a machine on which other programs run is not the same a minute later
 TINY = {"domain.cells": [100], "time.end": [0.01], "solver.cfl": list(np.linspace(0.1, 0.9, 200))}
 
 
 def timed(workers, vary, case="hillslope", folder=None):
     """Seconds of a whole sweep as the command makes it: workers are begun, members kept, files written.
 
-    Then those of processors, of this process and of the workers: what others do on the machine does not count.
+    Then those of processors, of this process and of the workers: what other programs do on the machine does not count.
     """
     before = os.times()
     with tempfile.TemporaryDirectory() as somewhere:
@@ -67,7 +67,7 @@ def speed():
 
 
 def draw(result):
-    """Relief lost over exponent and mass poured in; change of height for three exponents."""
+    """Relief lost over exponent and volume poured in; change of height for three exponents."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -105,11 +105,9 @@ def _scene(run: Run) -> tuple[Figure, list[Any], Callable[[int], None]]:
         slope.set_data(cells, run.q[i])
         for shade, edge in zip(shades, (np.minimum(u[i], u[0]), np.maximum(u[i], u[0])), strict=True):
             shade.set_verts([np.column_stack([np.append(x, x[::-1]), np.append(u[0], edge[::-1])])])
-        now = []
         for trail, (at, heights, index) in zip(trails, kinks, strict=True):
             trail.set_data(at[index <= i], heights[index <= i])
-            now += [(at[index == i], heights[index == i])]
-        dots[0].set_data(*(np.concatenate(part) for part in zip(*now, strict=True)) if now else ([], []))
+        dots[0].set_data(*style.dots_on(run, i, x, u[i]))
         areas = style.change_of(u[i], u[0], x)
         words = f"poured in {amount(volume * run.time[i])} of {amount(volume * run.time[-1])}", "eroded", "deposited"
         for text, word, area in zip(texts, words, ("", *map(amount, areas)), strict=True):

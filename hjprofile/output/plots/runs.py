@@ -56,7 +56,8 @@ def draw_profiles(run: Run) -> Figure:
     for axes, heights in ((top, u), (middle, u - u[0])):
         for at, height, _ in style.kinks_on(run, x, heights):
             axes.plot(at, height, color=INK, lw=0.6, zorder=2.5)
-        style.dot_kinks(axes, run, x, heights, shown)
+        for i in shown:
+            axes.plot(*style.dots_on(run, i, x, heights[i]), **DOT, ls="none", zorder=3)
     style.legend_above(figure, keys)
     top.set_ylabel(u_label)
     middle.set_ylabel("change of height")
@@ -207,7 +208,7 @@ def draw_factor(run: Run) -> Figure:
     shown, colour = style.shown_times(run)
     for i in shown:
         axes.plot(x, run.K[i], color=colour(i), lw=0.9)
-    style.dot_kinks(axes, run, x, run.K, shown)
+        axes.plot(*style.dots_on(run, i, x, run.K[i]), **DOT, ls="none", zorder=3)
     if run.K.max() > 10.0 * run.K.min():
         axes.set_yscale("log")
         style.plain_numbers(axes.yaxis)

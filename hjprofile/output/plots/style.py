@@ -214,13 +214,12 @@ def kinks_on(run: Run, x: Array, heights: Array) -> list[tuple[Array, Array, Arr
     return found
 
 
-def dot_kinks(axes: Axes, run: Run, x: Array, heights: Array, shown: Array) -> None:
-    """A dot for each of the DOTS strongest kinks at each of the `shown` saved times, on curves as in `kinks_on`."""
-    scale = run.units.x if run.units else np.asarray
-    for i in shown:
-        strongest = sorted(run.kinks_at(i), key=lambda kink: kink.jump)[-DOTS:]
-        at = scale(np.array([kink.x for kink in strongest]))
-        axes.plot(at, np.interp(at, x, heights[i]), **DOT, ls="none", zorder=3)
+def dots_on(run: Run, i: int, x: Array, heights: Array) -> tuple[Array, Array]:
+    """Places and heights of the DOTS strongest kinks at a saved time, on a curve `heights`, shape (x.size,)."""
+    strongest = sorted(run.kinks_at(i), key=lambda kink: kink.jump)[-DOTS:]
+    at = np.array([kink.x for kink in strongest])
+    at = run.units.x(at) if run.units else at
+    return at, np.interp(at, x, heights)
 
 
 def change_of(u: Array, first: Array, x: Array) -> tuple[float, float]:
