@@ -101,7 +101,7 @@ def draw_diagram(run: Run) -> Figure:
     rows = -(-len(keys) // 5)
     figure = style.sheet(run.title, style.about(run), rows, 3.1)
     axes = figure.subplots()
-    unit, t_label, numbers = style.axis_of_time(run)
+    unit, t_label, numbers = style.axis_of_time(run.time, run.units)
     (first, last), norm = span(run.time), _norm_of_q(run)
     times, places = (a + (b - a) * (np.arange(n) + 0.5) / n for (a, b), n in zip(
         ((first, last), (run.x[0], run.x[-1])), RASTER, strict=True

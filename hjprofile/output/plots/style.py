@@ -156,14 +156,14 @@ def span(time: Array) -> tuple[float, float]:
     return (first, last) if last > first else (first - 0.5, first + 0.5)
 
 
-def axis_of_time(run: Run) -> tuple[float, str, Callable[[float, float], str]]:
+def axis_of_time(time: Array, units: Units | None) -> tuple[float, str, Callable[[float, float], str]]:
     """What one unit of t is on an axis, the label of that axis and the formatter of its numbers.
 
     Of a survey it is the volume per unit width that was poured in, in the survey's units.
     """
-    unit = run.units.volume if run.units else 1.0
-    many = unit * float(run.time[-1]) >= 1e5  # their digits would have no room
-    label = "poured in: volume per width" if run.units else "t: mass of grains poured in"
+    unit = units.volume if units else 1.0
+    many = unit * float(time[-1]) >= 1e5  # their digits would have no room
+    label = "poured in: volume per width" if units else "t: mass of grains poured in"
     return unit, label, lambda v, _: f"{v:.3g}".replace("e+0", "e") if many else f"{v:,g}"
 
 
@@ -195,7 +195,7 @@ def round_numbers(low: float, high: float, most: int) -> list[float]:
 
 def bar_of_times(figure: Figure, run: Run) -> None:
     """The colour bar of `shown_times`."""
-    unit, label, numbers = axis_of_time(run)
+    unit, label, numbers = axis_of_time(run.time, run.units)
     axes = bar_of(figure, ScalarMappable(Normalize(*span(unit * run.time)), TIMES), label)
     axes.yaxis.set_major_formatter(numbers)
     if run.time.size == 1:
