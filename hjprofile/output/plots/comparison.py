@@ -48,20 +48,16 @@ def draw_comparison(first: Run, second: Run, names: tuple[str, str]) -> Figure:
     heights = units.height(both.height) if units else both.height
     length, x_cell = (units.length, units.x(both.x_cell)) if units else (1.0, both.x_cell)
     of_height = "difference of height" if units else "difference of u"
-    times = first.time[both.first]
+    saved = first.time[both.first]
+    unit, label_of_time, numbers = style.axis_of_time(saved, units)
+    times = unit * saved
     names = tuple(n if len(n) <= LONGEST else f"{n[: LONGEST - 1]}…" for n in names)  # type: ignore[assignment]
     lines = [f"{name}: {run.method}, {run.cells} cells" for name, run in zip(names, (first, second), strict=True)]
     figure = style.sheet(" and ".join(dict.fromkeys((first.title, second.title))), lines, 2, 6.2)
     frame = figure.subplotpars
     parts = figure.add_gridspec(
-        2,
-        1,
-        height_ratios=[5.2, 1.2],
-        hspace=0.26,
-        left=frame.left,
-        right=frame.right,
-        bottom=frame.bottom,
-        top=frame.top,
+        2, 1, height_ratios=[5.2, 1.2], hspace=0.26,
+        left=frame.left, right=frame.right, bottom=frame.bottom, top=frame.top,
     )  # fmt: skip
     panels: Any = parts[0].subgridspec(3, 1, height_ratios=[3, 2, 2], hspace=0.1).subplots(sharex=True)
     top, middle, bottom = panels
@@ -75,25 +71,29 @@ def draw_comparison(first: Run, second: Run, names: tuple[str, str]) -> Figure:
         bottom.plot(x_cell, both.slope[0, i] - both.slope[1, i], color=colour, lw=0.9)
     apart = np.abs(both.height[0] - both.height[1]).max(axis=1) > ROUNDING
     largest = np.abs(heights[0] - heights[1]).max(axis=1)
-    distances = [(t, length * d) for t in times for d in kink_distances(first, second, t) if d > ROUNDING]
+    distances = [(unit * t, length * d) for t in saved for d in kink_distances(first, second, t) if d > ROUNDING]
     curve = _LARGEST | {"label": f"largest |{of_height}|"}
     last.plot(times, np.where(apart, largest, np.nan), **curve)
     last.plot(*np.array(distances).reshape(-1, 2).T, **_KINKS)
     runs = [Line2D([], [], **look, label=name) for name, look in zip(names, _LOOKS, strict=True)]
-    style.legend_above(figure, [runs[0], Line2D([], [], **curve), runs[1], Line2D([], [], **_KINKS)], rows=2)
+    kinks = [Line2D([], [], **_KINKS)] if distances else []
+    style.legend_above(figure, [runs[0], Line2D([], [], **curve), runs[1], *kinks], rows=2)
     for axes, label in zip((top, middle, bottom), (label_of_height, of_height, "difference of q"), strict=True):
         axes.set_ylabel(label)
         if axes is not top:
             axes.axhline(0.0, color="0.6", lw=0.6, zorder=0)
     style.axis_of_x(bottom, x, label_of_x)
     last.set_ylabel("distance")
-    last.set_xlabel("t: mass of grains poured in")
+    last.set_xlabel(label_of_time)
+    last.xaxis.set_major_formatter(numbers)
     last.set_xlim(*style.span(times))
-    if distances or apart.any():
+    found = [*largest[apart], *(d for _, d in distances)] or [1.0]
+    if max(found) > 10.0 * min(found):
         last.set_yscale("log")
         style.plain_numbers(last.yaxis)
     else:
-        last.set_ylim(0.0, 1.0)
+        last.set_ylim(0.0, 1.1 * max(found))
     figure.align_ylabels([top, middle, bottom, last])
-    style.bar_of(figure, ScalarMappable(norm, TIMES), "t", bottom=bottom.get_position().y0)
+    bar = style.bar_of(figure, ScalarMappable(norm, TIMES), label_of_time, bottom=bottom.get_position().y0)
+    bar.yaxis.set_major_formatter(numbers)
     return figure

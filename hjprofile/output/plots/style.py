@@ -116,7 +116,11 @@ def legend_above(figure: Figure, handles: Sequence[Any], rows: int = 1) -> None:
 
 def plain_numbers(axis: Axis) -> None:
     """Numbers on a logarithmic axis written out: the exponents of powers of ten would be too small to read."""
-    axis.set_major_formatter(lambda v, _: f"{v:g}" if v <= 0.0 or 1e-3 <= v <= 1e4 else f"1e{round(np.log10(v))}")
+
+    def written(v: float, _: float) -> str:
+        return f"{v:g}" if v <= 0.0 or 1e-3 <= v <= 1e4 else f"{v:.0e}".replace("e-0", "e-").replace("e+0", "e")
+
+    axis.set_major_formatter(written)
     axis.set_minor_formatter(NullFormatter())
 
 
