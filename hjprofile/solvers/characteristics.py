@@ -218,7 +218,8 @@ class _Solver:
             p, s = after_start(panels.off[k, 1], k + 1, panels.mesh)
             row = interpolation(np.array([s]))[0]
             sides.append(float(row @ panels.r[p]))
-            K = sides[1] * np.exp(row @ self.S[p] + self.c[k + 1])
+            with np.errstate(over="ignore"):  # of such a K the status tells
+                K = sides[1] * np.exp(row @ self.S[p] + self.c[k + 1])
             (q0, f0), (q1, f1) = (law_q_f(r, self.table) for r in sides)
             if q1 > q0:
                 speed = float(K * (f1 - f0) / (q1 - q0))
