@@ -114,3 +114,73 @@ def test_numbers_last_for_life():
 def test_flicker_is_no_kink():
     frames = [(0.01 * n, [sighting(-1.0)] if n in (30, 31) else []) for n in range(60)]
     assert link(frames, 0.01, lambda s: 0.1) == []
+
+
+def test_a_kink_that_was_out_of_sight_is_the_same_kink():
+    """Seen again beyond where it was looked for, it has another number until both would go on with one sighting."""
+    x = [-1.0 + 0.01 * n for n in range(40)]
+    frames = [(0.01 * n, [sighting(x[n])]) for n in range(10)]
+    frames += [(0.01 * n, []) for n in range(10, 12)]
+    frames += [(0.01 * n, [sighting(x[n] + 0.022)]) for n in range(12, 13)]  # too far ahead for the first
+    frames += [(0.01 * n, [sighting(x[n] + 0.016)]) for n in range(13, 40)]  # now within the reach of both
+    (path,) = link(frames, 0.001, lambda s: 1.0)
+    assert path.number == 1 and path.end is None
+    assert path.times == sorted(path.times) and len(path.times) == 38
+
+
+def test_kinks_that_did_not_touch_have_not_merged():
+    """The weak one goes out of sight 40 cells from the other, on which it was closing in."""
+    frames = [(0.01 * n, [sighting(-1.0 + 0.012 * n), sighting(-0.9 + 0.01 * n)]) for n in range(30)]
+    frames += [(0.01 * n, [sighting(-0.9 + 0.01 * n)]) for n in range(30, 60)]
+    first, second = link(frames, 0.001, lambda s: 1.0)
+    assert first.end is None and second.end is None and second.times[-1] == pytest.approx(0.59)
+    frames = [(t, [a._replace(x=a.x + 0.035), *rest]) if t < 0.295 else (t, [a, *rest]) for t, (a, *rest) in frames]
+    first, second = link(frames, 0.001, lambda s: 1.0)  # the same within 7 cells
+    assert {p.end and p.end.event for p in (first, second)} == {None, "merge"}
+
+
+def rough_surveys():
+    """Slopes as surveys have them: forty points, most of them kinks, of which many are weak."""
+    rng = np.random.default_rng(5)
+    for k in range(4):
+        x = np.linspace(-10.0, 0.0, 40)
+        slope = 1.0 + 0.7 * np.sin(0.7 * x + k) + 0.35 * rng.standard_normal(40)
+        yield hj.points(x[:-1].repeat(2)[1:], np.maximum(slope - 1.0, -0.9)[:-1].repeat(2)[:-1])
+
+
+@pytest.mark.parametrize("method", ["local-lax-friedrichs", "godunov", "conservative"])
+def test_the_history_of_a_rough_slope_is_one_that_can_be(method):
+    """No kink travels downhill or passes another, merges are where and while the other was, and most are true.
+
+    Measured on twelve surveys and six crowds of kinks: 80 % of merges by the first-order methods and 88 % by
+    conservative are within 3 % of the time and 20 cells of one by fronts. The others are dated worse where two shocks
+    touch that close in slowly.
+    """
+    grid, hillslope, true, told = hj.Grid(-11.0, 800), hj.load_case("hillslope"), 0, 0
+    scenes = [(hj.Problem(hj.rational(), profile, end=2.0, snapshots=41), grid) for profile in rough_surveys()]
+    for problem, grid in [*scenes, (hillslope.problem, hillslope.grid)]:
+        solve = hj.solve_conservative if method == "conservative" else hj.solve_hj
+        run = solve(problem, grid, method)
+        exact = [e for e in hj.track_fronts(problem, grid, 1600).events if e.event == "merge"]
+        merges = [e for e in run.events if e.event == "merge"]
+        ends = {e.kink: e.time for e in run.events if e.event in ("merge", "exit")}
+        places = {n: np.array([(k.time, k.x) for k in run.kinks if k.kink == n]).T for n in {k.kink for k in run.kinks}}
+        for _, x in places.values():
+            assert np.all(np.diff(x) > -3 * grid.dx)
+        for a, b in zip(run.time, run.time[1:], strict=False):
+            now, then = ({k.kink: k.x for k in run.kinks if k.time == t} for t in (a, b))
+            both = sorted(now.keys() & then.keys(), key=now.__getitem__)
+            assert np.all(np.diff([then[n] for n in both]) > -grid.dx)
+        for e in merges:
+            assert ends.get(e.into, np.inf) >= e.time
+            t, x = places.get(e.into, ([np.inf], [np.nan]))
+            if t[0] <= e.time <= t[-1]:
+                around = x[max(np.searchsorted(t, e.time) - 1, 0) :][:2]
+                assert around.min() - 20 * grid.dx <= e.x <= around.max() + 20 * grid.dx
+        told += len(merges)
+        true += sum(
+            any(abs(e.time - r.time) <= 0.03 * problem.end and abs(e.x - r.x) <= 20 * grid.dx for r in exact)
+            for e in merges
+        )
+    assert told >= 15
+    assert true >= 0.75 * told

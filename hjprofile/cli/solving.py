@@ -158,6 +158,9 @@ def _account(run: Run) -> str:
     count = {kind: sum(e.event == kind for e in run.events) for kind in ("birth", "merge", "exit")}
     plural = {"birth": "births", "merge": "merges", "exit": "exits"}
     events = ", ".join(f"{n} {plural[kind] if n != 1 else kind}" for kind, n in count.items())
+    lost = len(run.kinks_at(0)) + count["birth"] - count["merge"] - count["exit"] - len(run.kinks_at(-1))
+    if lost > 0 and run.vertical_steps is None:
+        events += f", {lost} out of sight"
     mass, budget = run.bounds["mass_budget"], run.bounds.get("volume_budget")
     lines = [
         run.title,

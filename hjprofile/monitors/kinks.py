@@ -17,6 +17,7 @@ Speed = Callable[["Sighting"], float]
 
 MEMORY = 10  # sightings at most from which a kink's speed is measured, ...
 NEARBY = 40  # ... and the cells within which they lie, or else the nearest two
+BACK = 2  # cells by which the place of a kink may be off, downhill: it travels uphill
 LEAST_LIFE = 3  # sightings that make a kink; fewer are a flicker of the threshold
 
 
@@ -48,6 +49,15 @@ class _Path:
         self.times.append(t)
         self.sightings.append(sighting)
 
+    def join(self, other: _Path, paths: list[_Path]) -> None:
+        """Takes over what was seen later of the same kink."""
+        paths.remove(other)
+        rows = sorted(zip(self.times + other.times, self.sightings + other.sightings, strict=True), key=lambda r: r[0])
+        self.times, self.sightings = [t for t, _ in rows], [s for _, s in rows]
+        for p in paths:
+            if p.into is other:
+                p.into = self
+
     def recent(self, dx: float) -> tuple[Array, Array]:
         """Times and places of the last MEMORY sightings that are near the last."""
         x = np.array([s.x for s in self.sightings[-MEMORY:]])
@@ -55,9 +65,10 @@ class _Path:
         return np.array(self.times[-MEMORY:])[near], x[near]
 
     def velocity(self, dx: float, speed: Speed) -> float:
-        """Measured over the last sightings where there are enough, else by Rankine-Hugoniot."""
+        """Measured over the last sightings where there are enough, else by Rankine-Hugoniot; uphill in any case."""
         t, x = self.recent(dx)
-        return _slope(t, x) if t.size > 3 else speed(self.sightings[-1])
+        measured = _slope(t, x) if t.size > 3 else 0.0
+        return measured if measured > 0.0 else speed(self.sightings[-1])
 
 
 class KinkTracker:
@@ -141,29 +152,57 @@ def link(frames: Sequence[tuple[float, list[Sighting]]], dx: float, speed: Speed
     paths: list[_Path] = []
     living: list[_Path] = []  # with those that are out of sight
     for n, (t, sightings) in enumerate(frames):
-        claims: dict[int, list[_Path]] = {}
-        for path in living:
-            ahead, reach = _expected(path, t, dx, speed)
-            near = [i for i, new in enumerate(sightings) if abs(new.x - ahead) <= reach]
-            if near:
-                claims.setdefault(min(near, key=lambda i: abs(sightings[i].x - ahead)), []).append(path)
+        claims = _claims(living, t, sightings, dx, speed)
         _untangle(claims, sightings)
         for i, new in enumerate(sightings):
-            claimants = claims.get(i, [])
-            path = min(claimants, key=lambda p: p.number) if claimants else _Path(len(paths) + 1, born=n > 0)
+            claimants = _rightful(claims.get(i, []), dx)
             if not claimants:
-                paths.append(path)
-                living.append(path)
+                claimants = [_Path(paths[-1].number + 1 if paths else 1, born=n > 0)]
+                paths += claimants
+                living += claimants
+            path = min(claimants, key=lambda p: p.number)
             for other in claimants:
                 if other is not path:
-                    _merge(other, path, dx, speed)
                     living.remove(other)
+                    if set(other.times) & set(path.times):
+                        _merge(other, path, dx, speed)
+                    else:  # never seen side by side: one kink, which was out of sight for a while
+                        path.join(other, paths)
             path.add(t, new)
         for path in [p for p in living if p.times[-1] < t]:
             if _leaves(path, t, dx, speed) or _is_lost(path, t, dx, speed):
                 living.remove(path)
-    _merge_lost(paths, frames[-1][0] if frames else 0.0, dx, speed)
+    end = frames[-1][0] if frames else 0.0
+    _merge_lost(paths, end, dx, speed)
+    for path in paths:
+        if path.into:
+            _settle(path, end, dx)
     return _without_flicker(paths)
+
+
+def _claims(
+    living: Sequence[_Path], t: float, sightings: Sequence[Sighting], dx: float, speed: Speed
+) -> dict[int, list[_Path]]:
+    """Sighting -> the paths that go on with it: the nearest to where a path should be, and none downhill of it.
+
+    A path that was out of sight has no claim beyond its neighbours that were not: kinks do not pass each other.
+    """
+    claimed: list[tuple[_Path, int]] = []
+    latest = max((p.times[-1] for p in living), default=t)
+    for path in sorted(living, key=lambda p: p.times[-1] < latest):  # those in sight first
+        ahead, reach = _expected(path, t, dx, speed)
+        here = path.sightings[-1].x
+        near = [i for i, new in enumerate(sightings) if abs(new.x - ahead) <= reach and new.x >= here - BACK * dx]
+        if not near:
+            continue
+        i = min(near, key=lambda i: abs(sightings[i].x - ahead))
+        passes = any((other.sightings[-1].x - here) * (j - i) < 0 for other, j in claimed)
+        if path.times[-1] == latest or not passes:
+            claimed.append((path, i))
+    claims: dict[int, list[_Path]] = {}
+    for path, i in claimed:
+        claims.setdefault(i, []).append(path)
+    return claims
 
 
 def _expected(path: _Path, t: float, dx: float, speed: Speed) -> tuple[float, float]:
@@ -175,6 +214,18 @@ def _expected(path: _Path, t: float, dx: float, speed: Speed) -> tuple[float, fl
 def _is_lost(path: _Path, t: float, dx: float, speed: Speed) -> bool:
     """Out of sight for longer than two shocks need to become one."""
     return abs(path.velocity(dx, speed)) * (t - path.times[-1]) > 2 * WIDEST * dx
+
+
+def _rightful(claimants: list[_Path], dx: float) -> list[_Path]:
+    """Without those out of sight that were never seen beside one in sight, nor can be its past."""
+    latest = max((p.times[-1] for p in claimants), default=0.0)
+    present = [p for p in claimants if p.times[-1] == latest]
+
+    def related(lost: _Path, seen: _Path) -> bool:
+        uphill = seen.sightings[0].x >= lost.sightings[-1].x - BACK * dx
+        return bool(set(lost.times) & set(seen.times)) or (lost.times[-1] < seen.times[0] and uphill)
+
+    return [p for p in claimants if p in present or all(related(p, seen) for seen in present)]
 
 
 def _untangle(claims: dict[int, list[_Path]], sightings: list[Sighting]) -> None:
@@ -208,19 +259,18 @@ def _leaves(path: _Path, t: float, dx: float, speed: Speed) -> bool:
 def _merge(loser: _Path, winner: _Path, dx: float, speed: Speed) -> None:
     """Ends `loser` where it meets `winner`: extrapolated, for shocks that touch are seen as one too early."""
     common = sorted(set(loser.times) & set(winner.times))[-MEMORY:]
-    if common:
-        xs = [np.array([p.sightings[p.times.index(t)].x for t in common]) for p in (loser, winner)]
-        near = np.abs(xs[0] - xs[0][-1]) <= NEARBY * dx
-        xs = [x[near] for x in xs]
-        t, gap = np.array(common)[near], xs[1] - xs[0]
-        if t.size > 3:
-            closing, velocity, now, apart, here = -_slope(t, gap), _slope(t, xs[1]), t.mean(), gap.mean(), xs[1].mean()
-        else:
-            speeds = [speed(p.sightings[p.times.index(t[-1])]) for p in (loser, winner)]
-            closing, velocity, now, apart, here = speeds[0] - speeds[1], speeds[1], t[-1], gap[-1], xs[1][-1]
-        wait = apart / closing if closing * apart > 0 else t[-1] - now
-    else:  # never seen side by side
-        now, here, velocity, wait = loser.times[-1], loser.sightings[-1].x, 0.0, 0.0
+    xs = [np.array([p.sightings[p.times.index(t)].x for t in common]) for p in (loser, winner)]
+    if abs(xs[1][-1] - xs[0][-1]) > WIDEST * dx:  # they did not touch: one of them was too weak or wide to be seen
+        return
+    near = np.abs(xs[0] - xs[0][-1]) <= NEARBY * dx
+    xs = [x[near] for x in xs]
+    t, gap = np.array(common)[near], xs[1] - xs[0]
+    if t.size > 3:
+        closing, velocity, now, apart, here = -_slope(t, gap), _slope(t, xs[1]), t.mean(), gap.mean(), xs[1].mean()
+    else:
+        speeds = [speed(p.sightings[p.times.index(t[-1])]) for p in (loser, winner)]
+        closing, velocity, now, apart, here = speeds[0] - speeds[1], speeds[1], t[-1], gap[-1], xs[1][-1]
+    wait = apart / closing if closing * apart > 0 else t[-1] - now
     loser.into = winner
     loser.end = Event(float(now + wait), "merge", loser.number, winner.number, float(here + velocity * wait))
 
@@ -236,7 +286,7 @@ def _merge_lost(paths: list[_Path], end: float, dx: float, speed: Speed) -> None
         other = beside[0]
         gap = other.sightings[other.times.index(t)].x - x
         closing = (lost.velocity(dx, speed) - speed(other.sightings[other.times.index(t)])) * np.sign(gap)
-        if abs(gap) > 3 * WIDEST * dx or closing <= 0:
+        if abs(gap) > WIDEST * dx or closing <= 0:
             continue
         if lost.number < other.number:  # the lower number lives on: it takes over the rest of the other's path
             k = other.times.index(t) + 1
@@ -251,6 +301,20 @@ def _merge_lost(paths: list[_Path], end: float, dx: float, speed: Speed) -> None
                     p.into = lost
             lost, other = other, lost
         _merge(lost, other, dx, speed)
+
+
+def _settle(path: _Path, end: float, dx: float) -> None:
+    """Keeps a merge only where and when the other kink was: it may have merged itself, or have gone out of sight."""
+    event, other = path.end, path.into
+    assert event and other
+    while other.end and other.end.time < event.time and other.into:
+        other = other.into
+    seen = np.interp(event.time, other.times, [s.x for s in other.sightings])
+    gone = other.end.time if other.end else other.times[-1]
+    if gone < min(event.time, end) or abs(seen - event.x) > WIDEST * dx:
+        path.end = path.into = None
+    else:
+        path.end, path.into = event._replace(into=other.number), other
 
 
 def _without_flicker(paths: list[_Path]) -> list[_Path]:
