@@ -144,7 +144,6 @@ def test_observed_order():
     assert hj.observed_order([10, 20, 40], [1.0, 0.25, 0.0625]) == pytest.approx(2.0)
     assert np.isnan(hj.observed_order([10, 20], [1.0, 0.0]))
     assert np.isnan(hj.observed_order([10], [1.0])) and np.isnan(hj.observed_order([10, 10], [1.0, 0.5]))
-    with pytest.raises(hj.InputError, match="2 numbers of cells and 1 errors"):
+    with pytest.raises(hj.InputError, match="errors has 1 entries and cells has 2"):
         hj.observed_order([10, 20], [1.0])
-    with pytest.raises(hj.InputError, match="must be positive"):
-        hj.observed_order([0, 20], [1.0, 0.5])
+    assert np.isnan(hj.observed_order([0, 20], [1.0, 0.5]))

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.errors import InputError
+from hjprofile.problem.lists import same_length
 from hjprofile.solvers.run import Array, Run
 
 ABOUT = "a-check-or-a-study"
@@ -105,14 +106,11 @@ def kink_distances(first: Run, second: Run, time: float) -> Array:
 def observed_order(cells: Sequence[float], errors: Sequence[float]) -> float:
     """Slope of -ln(error) over ln(cells) by least squares.
 
-    NaN if an error is zero or not finite, or if there are fewer than two different numbers of cells. Raises InputError
-    if there are not as many errors as numbers of cells, or one of the latter is not positive.
+    NaN if an error or a number of cells is not positive, or no finite number, or if there are fewer than two different
+    numbers of cells. Raises InputError if there are not as many errors as numbers of cells.
     """
     n, e = np.asarray(cells, dtype=float), np.asarray(errors, dtype=float)
-    if n.ndim != 1 or n.shape != e.shape:
-        raise InputError(f"{n.size} numbers of cells and {e.size} errors; an order needs as many of each")
-    if not np.all(n > 0):
-        raise InputError(f"cells = {n.tolist()} must be positive numbers")
-    if np.unique(n).size < 2 or not np.all(np.isfinite(e) & (e > 0)):
+    same_length(cells=n, errors=e)
+    if np.unique(n).size < 2 or not np.all((n > 0) & np.isfinite(e) & (e > 0)):
         return float("nan")
     return float(-np.polyfit(np.log(n), np.log(e), 1)[0])

@@ -334,7 +334,7 @@ def solve_characteristics(
     A second run with a coarser tolerance gives `error_estimate`. The grid is by default 2000 cells over the profile.
     `patience` is the most work, in seconds but by count, so that every machine gives up at the same point.
     Where the method cannot go on, `status` says when, where and why, and the last saved time is the last good one.
-    Raises InputError for bad input and where a flux enters at the left end.
+    Raises InputError for bad input and where a flux enters at the left end, and RunError if the data cannot be cut.
     """
     if not FINEST <= tolerance <= COARSEST:
         raise InputError(f"tolerance = {tolerance:g} must lie between {FINEST:g} and {COARSEST:g}")
