@@ -40,3 +40,9 @@ def did_you_mean(word: str, choices: Iterable[str] | Mapping[str, str]) -> str:
     lower = {choice.lower(): shown for choice, shown in written.items()}
     close = difflib.get_close_matches(word.lower(), lower, 1)
     return f"; did you mean {lower[close[0]]!r}?" if close else ""
+
+
+def by_last_part(dotted: Iterable[str]) -> dict[str, str]:
+    """Dotted keys under their own names and under their last parts, as choices of `did_you_mean`: end of time.end."""
+    keys = list(dotted)
+    return {key.rpartition(".")[2]: key for key in keys} | {key: key for key in keys}

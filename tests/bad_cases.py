@@ -375,6 +375,10 @@ NOT_TOML = {  # id -> (bytes of the file, words)
         b"[erosion]\nlaw = rational\n",
         ["not valid TOML", "which reads 'law = rational'"],
     ),
+    "a path of Windows": (
+        b'[profile]\nfile = "C:\\data\\mine.csv"\n',
+        ["not valid TOML", "; write paths with / or in single quotes"],
+    ),
     "UTF-16": ("title = 'a'\n".encode("utf-16"), ["cannot be read: it is not text in UTF-8", "save it as UTF-8"]),
     "NUL": (b"title = 'a\0'\n", ["not valid TOML"]),
     "nested": (b"title = " + b"[" * 20_000, ["not valid TOML"]),

@@ -181,9 +181,36 @@ def test_one_without_effect_is_named(tmp_path, coarse):
     content = SURVEY | {"profile": {"kind": "steps", "edges": [-2.0, -1.0], "values": [0.0]}}
     x = np.linspace(-3.0, 0.0, 20)
     found = hj.fit(write(tmp_path, content), x, x + 0.01 * np.sin(9.0 * x), ["time.end"])
-    assert found.warnings == ["time.end has no effect on the surveyed heights near its value"] and np.isnan(
-        found.parameters[0].low
-    )
+    assert found.warnings[0] == "time.end has no effect on the surveyed heights near its value"
+    assert "are 100% of all the change between the surveys" in found.warnings[1] and len(found.warnings) == 2
+    assert np.isnan(found.parameters[0].low)
+
+
+def test_surveys_that_do_not_belong_together_are_told(slope, coarse, tmp_path):
+    """Feet, or another datum; x in feet alone is refused, if too few of the points then lie on the slope."""
+    path, x, height = slope
+    feet = hj.fit(path, 3.28 * x, 3.28 * (height + 100.0), ["time.end"])
+    assert feet.left_out == 28
+    beyond, residuals = feet.warnings[-2:]
+    assert "28 of the 41 points of the survey after lie beyond the slope" in beyond and "in one unit" in residuals
+    for shift in (100.0, -30.0):  # the change itself is 42 at most
+        shifted = hj.fit(path, x, height + shift, ["time.end"])
+        assert "with one datum" in shifted.warnings[-1] and shifted.left_out == 0
+    # a change that noise of a fifth of it hides is explained well enough
+    change = np.std(height - calibration._Model(path, ["time.end"]).before(x))
+    noisy = hj.fit(path, x, height + 0.2 * change * np.random.default_rng(3).standard_normal(x.size), list(TRUTH))
+    assert not [w for w in noisy.warnings if "all the change" in w or "differ" in w]
+
+
+def test_surveys_that_do_not_differ_are_told(slope, coarse):
+    path, x, _ = slope
+    before = calibration._Model(path, ["time.end"]).before(x)
+    assert before == pytest.approx(np.interp(x, *np.loadtxt(io.StringIO(BEFORE), delimiter=",", skiprows=1).T))
+    warning = hj.fit(path, x, before, ["time.end"]).warnings[-1]
+    assert re.fullmatch("the surveys do not differ: by .* r.m.s., which is within rounding; nothing can be .*", warning)
+    noisy = before + 0.5 * np.random.default_rng(4).standard_normal(x.size)
+    assert "which is within sigma" in hj.fit(path, x, noisy, ["time.end"], sigma=0.5).warnings[-1]
+    assert "do not differ" not in "".join(hj.fit(path, x, noisy, ["time.end"], sigma=0.2).warnings)
 
 
 def test_a_model_that_does_not_meet_the_survey_is_told(slope, coarse):
@@ -271,7 +298,8 @@ def test_the_example_of_the_docs(in_tmp, call):
         (["--vary", "erosion.m"], "erosion.m cannot be varied; the positive numbers of this case are profile.critical"),
         (["--vary", "profile.file"], "profile.file cannot be varied"),
         (["--vary", "time.snapshots"], "time.snapshots cannot be varied"),
-        (["--vary", "end"], "end cannot be varied"),
+        (["--vary", "end"], "end cannot be varied; did you mean 'time.end'? the positive numbers of this case are"),
+        (["--vary", "time.end,profile.length"], "profile.length cannot be varied (--vary once for each); the positive"),
         (["--vary", "time.end", "--vary", "time.end"], "each named once"),
         (["--vary", "time.end", "--sigma", "0"], "sigma = 0.0 must be a positive number"),
         (["--vary", "time.end", "--sigma", "nan"], "sigma = nan must be a positive number"),

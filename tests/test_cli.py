@@ -144,6 +144,10 @@ def test_the_account_says_what_was_done_to_the_data(folder, call):
     write_case(folder, "survey", profile=survey, **BARE)
     _, out, _ = call("run", "survey.toml", "--end", "0.1")
     assert out.splitlines()[1].startswith("  data        survey repaired: ")
+    _, out, _ = call("run", "survey.toml", "--end", "0.1", "--tolerance", "0.01")
+    lines = out.splitlines()
+    assert lines[1].startswith("  data        survey repaired: ") and lines[1].endswith("(r.m.s.)")
+    assert lines[2].startswith("  chosen      ") and "error of u about" in lines[2] and "solved" in lines[3]
 
 
 def test_the_account_says_which_bounds_were_not_held(folder, call):

@@ -14,6 +14,7 @@ from hjprofile.output.plots import style
 from hjprofile.output.plots.comparison import LONGEST, draw_comparison
 from hjprofile.output.plots.style import TWO_RUNS
 from hjprofile.output.store import write_run
+from hjprofile.problem.units import Units
 
 NAMES = ("coarse", "fine")
 
@@ -44,7 +45,7 @@ def test_what_is_shared():
     ("other", "words"),
     [
         (solved(150), "100 and 150 cells do not nest"),
-        (solved(100, left=-5.0), r"grids over \[-4, 0\] and \[-5, 0\] differ"),
+        (solved(100, left=-5.0), r"grids over \[-4, 0\] and \[-5, 0\] differ, so .*; set left .* to one value"),
         (solved(100, line="whole"), r"grids over \[-4, 0\] and \[-4, 1\] differ"),  # on which x would lie elsewhere
         (dataclasses.replace(solved(100), time=solved(100).time + 0.1), "share no saved time"),
     ],
@@ -81,6 +82,30 @@ def test_the_picture(other):
     ]  # fmt: skip
 
 
+UNITS = Units(200.0, 0.25, 1000.0, 450.0)
+
+
+def test_two_runs_of_one_survey_are_drawn_in_its_units():
+    first, other = (dataclasses.replace(solved(n), units=UNITS) for n in (400, 100))
+    both, figure = shared(first, other), draw_comparison(first, other, NAMES)
+    figure.canvas.draw()
+    assert_legible(figure)
+    top, middle, bottom, last, _ = figure.axes
+    assert (top.get_ylabel(), middle.get_ylabel()) == ("height (survey)", "difference of height")
+    assert bottom.get_xlabel() == "x (units of the survey)" and bottom.get_xlim() == (200.0, 1000.0)
+    u, metres = both.height[:, -1], 200.0 * 0.25
+    early = both.height[:, 1]
+    assert any(np.allclose(line.get_ydata(), 450.0 + metres * u[0]) for line in top.lines)
+    assert any(np.allclose(line.get_ydata(), metres * (u[0] - u[1])) for line in middle.lines)
+    assert any(np.array_equal(line.get_ydata(), both.slope[0, -1] - both.slope[1, -1]) for line in bottom.lines)
+    largest, apart = (line.get_ydata() for line in last.lines)
+    assert largest[1] == pytest.approx(metres * np.abs(early[0] - early[1]).max())
+    of_kinks = np.concatenate([kink_distances(first, other, t) for t in first.time])
+    assert list(apart) == pytest.approx(200.0 * of_kinks[of_kinks > 1e-12])
+    elsewhere = dataclasses.replace(other, units=dataclasses.replace(UNITS, length=100.0))
+    assert draw_comparison(first, elsewhere, NAMES).axes[0].get_ylabel() == "height u"
+
+
 def test_long_names_find_room():
     names = ("a_name_that_goes_on_and_on_and_on", "results/of/another/time/and/place")
     figure = draw_comparison(solved(100), solved(400), names)
@@ -108,5 +133,11 @@ def test_the_command(results, call, monkeypatch):
     code, out, err = call("compare", "a", "c", "--out", "none")
     assert (code, out) == (2, "") and err.count("\n") == err.count("(docs/errors.md#a-") == 1 and "do not nest" in err
     assert not (results / "none").exists()
+    for name, cells in (("d", 100), ("e", 400)):
+        write_run(dataclasses.replace(solved(cells), units=UNITS), name, vtk=False, plots=False)
+    _, out, _ = call("compare", "d", "e")
+    assert f"({norms.height_l1 * 1e4:.2g} and {norms.height_sup * 50.0:.2g} in the survey's units)" in out
+    assert f"({norms.kinks * 200.0:.2g} in the survey's units)" in out
+    assert "survey" not in call("compare", "a", "d")[1]
     write_run(solved(100), "a", vtk=False, plots=False)  # a new run there: the old comparison is of another
     assert not list((results / "a").glob("comparison.*"))

@@ -269,6 +269,7 @@ def test_all_failed_is_exit_code_1(scene, call, alone):
         (["erosion.m=1", "erosion.m=2"], "erosion.m is there twice"),
         (["erosion.m=1,1.0"], "erosion.m has a value twice: 1, 1"),
         (["m=1"], "'m' is not a key of a case"),
+        (["cells=10"], "'cells' is not a key of a case; did you mean 'domain.cells'? it is written section.key"),
         (["a.b.c=1"], "'a.b.c' is not a key of a case"),
         ([".m=1"], "'.m' is not a key of a case"),
         (["title.x=1"], "title.x cannot be varied"),

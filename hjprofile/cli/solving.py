@@ -179,7 +179,7 @@ def _account(run: Run) -> str:
         lines.insert(4, f"  steps       {len(now)} vertical at the end, {broke} blow-up{'s' * (broke != 1)}{tallest}")
     if run.error_estimate is not None:
         lines.append(f"  error       of u at most {run.error_estimate:.2g}, by estimate")
-    if run.account:
-        label = "chosen" if run.case["solver"]["method"] == "auto" else "data"
-        lines.insert(1, f"  {label:11} {run.account}")
+    said = run.account.splitlines()  # on the data, and on the choice of `auto`, which is the last
+    labels = ["data", "chosen"][-len(said) :] if run.case["solver"]["method"] == "auto" else ["data"]
+    lines[1:1] = [f"  {label:11} {text}" for label, text in zip(labels, said, strict=False)]
     return "\n".join(lines)

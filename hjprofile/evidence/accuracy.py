@@ -65,7 +65,11 @@ def shared(first: Run, second: Run) -> Shared:
     ends = [(float(run.x[0]), float(run.x[-1]) + 0.0) for run in (first, second)]
     if ends[0] != ends[1]:
         (a, b), (c, d) = ends
-        raise InputError(f"grids over [{a:g}, {b:g}] and [{c:g}, {d:g}] differ, so the runs cannot be compared", ABOUT)
+        raise InputError(
+            f"grids over [{a:g}, {b:g}] and [{c:g}, {d:g}] differ, so the runs cannot be compared; set left (on the "
+            "whole line right, too) in both cases to one value",
+            ABOUT,
+        )
     if first.cells % cells or second.cells % cells:
         raise InputError(
             f"grids of {first.cells} and {second.cells} cells do not nest, so they cannot be compared", ABOUT

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hjprofile.errors import InputError, RunError
+from hjprofile.errors import InputError, RunError, by_last_part, did_you_mean
 from hjprofile.problem.case import Case, load_case, resolved_case
 from hjprofile.problem.profiles import Units
 from hjprofile.solvers.fronts import heights_at_end
@@ -26,6 +26,8 @@ STEP = 3e-3  # of a central difference in a logarithm: larger ones carry kinks p
 RESOLVED = 0.01  # singular values below this part of the largest are no better known than the derivatives are
 WIDEST = float(np.log(3.0))  # an interval that reaches further than a factor of three: no longer linear in between
 IMPROBABLE = 1e-3  # probability below which chi² is called too large
+SAME = 3e-5  # of the relief: a change of heights that is lost in the error of FRONTS
+UNEXPLAINED = 1 / 3  # of the change of heights, r.m.s.: a fit that leaves more over has found another slope or unit
 ENOUGH = 1e-6  # relative change of chi², or of the parameters, at which a fit stops: hundredths of a standard error
 MOST_STEPS = 60
 FARTHEST = float(np.log(1e6))  # from the starting values that a trial may go
@@ -106,8 +108,11 @@ class _Model:
         }
         for name in self.names:
             if name not in offered:
+                hint = did_you_mean(name, by_last_part(offered)) or ";"
+                if "," in name:
+                    hint = " (--vary once for each);"
                 raise InputError(
-                    f"{path}: {name} cannot be varied; the positive numbers of this case are {', '.join(offered)}"
+                    f"{path}: {name} cannot be varied{hint} the positive numbers of this case are {', '.join(offered)}"
                 )
         if not self.names or len(set(self.names)) < len(self.names):
             raise InputError(f"{path}: a fit needs at least one parameter to vary, each named once")
@@ -141,6 +146,11 @@ class _Model:
         units = case.problem.profile.units or self.units
         place = np.clip((x - units.x_top) / units.length, case.grid.left, 0.0)
         return units.height(heights_at_end(case.problem, case.grid.left, place, fronts or FRONTS))
+
+    def before(self, x: Array) -> Array:
+        """Heights of the case's own profile at x, in the survey's units."""
+        place = np.minimum((x - self.units.x_top) / self.units.length, 0.0)
+        return self.units.height(place + self.first.problem.profile.W(place, self.first.problem.law))
 
     def residuals(self, z: Array, x: Array, measured: Array) -> Array:
         """Modelled less measured heights; infinite where the model has no solution, from which the fit steps back."""
@@ -233,6 +243,7 @@ def fit(case: str | Path, x: Array, height: Array, vary: Sequence[str], sigma: f
             f"the model does not meet the survey after to within sigma: chi² is {chi2 / freedom:.3g} for each degree "
             "of freedom where 1 is expected; the intervals are too narrow"
         )
+    warnings += _of_two_surveys(model, at, measured, residual, np.size(x) - at.size, sigma)
     parameters = [
         _parameter(name, start, value, np.nan if name in hidden else h)
         for name, start, value, h in zip(model.names, model.start, values, half, strict=True)
@@ -271,6 +282,34 @@ def _on_the_slope(model: _Model, x: Array, height: Array) -> tuple[Array, Array,
             f"x = {first:g} to {last:g}; to fit {len(model.names)} takes at least {len(model.names) + 1}"
         )
     return x[on], height[on], np.linspace(first, last, 1001)
+
+
+def _of_two_surveys(
+    model: _Model, x: Array, measured: Array, residual: Array, beyond: int, sigma: float | None
+) -> list[str]:
+    """What is told where the two surveys are the same, or do not belong together. `beyond`: points off the slope."""
+    from scipy.special import chdtrc
+
+    warnings = []
+    if beyond > x.size:
+        warnings.append(
+            f"{beyond} of the {beyond + x.size} points of the survey after lie beyond the slope: are both surveys of "
+            "one place, in one unit and with one origin of x?"
+        )
+    change = measured - model.before(x)
+    size, rms = (float(np.sqrt(np.mean(v**2))) for v in (change, residual))
+    if size <= SAME * np.ptp(measured) or (sigma and chdtrc(x.size, np.sum((change / sigma) ** 2)) >= IMPROBABLE):
+        warnings.append(
+            f"the surveys do not differ: by {size:.2g} r.m.s., which is within "
+            + ("sigma" if sigma else "rounding")
+            + "; nothing can be fitted to that"
+        )
+    elif rms > UNEXPLAINED * size:
+        warnings.append(
+            f"the residuals, {rms:.3g} r.m.s., are {rms / size:.0%} of all the change between the surveys: are both in "
+            "one unit, with one datum, and of one place? If so, the model does not explain the change"
+        )
+    return warnings
 
 
 def _parameter(name: str, start: float, value: float, half: float) -> Parameter:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import hjprofile
-from hjprofile.errors import InputError, RunError
+from hjprofile.errors import InputError, RunError, by_last_part, did_you_mean
 from hjprofile.problem.case import Case, find_case, parse_case, read_case
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.methods import check_method, solve_case
@@ -104,7 +104,9 @@ def members(case: str | Path, vary: Mapping[str, list[Any]]) -> list[Member]:
     for key, values in vary.items():
         section, dot, name = key.partition(".")
         if not (section and dot and name) or "." in name:
-            raise InputError(f"{key!r} is not a key of a case; it is written section.key, as in erosion.m")
+            there = [f"{s}.{k}" for s, table in content.items() if isinstance(table, dict) for k in table]
+            hint = did_you_mean(key, by_last_part(there)) or ";"
+            raise InputError(f"{key!r} is not a key of a case{hint} it is written section.key, as in erosion.m")
         if section in _UNREAD or not isinstance(content.get(section, {}), dict):
             raise InputError(f"{key} cannot be varied: it does not change a run")
         if not values:

@@ -261,7 +261,8 @@ def read_case(path: Path) -> dict[str, Any]:
         found = re.search(r"\(at line (\d+), column \d+\)$", str(error))
         line = text.split("\n")[int(found[1]) - 1].strip()[:60] if found else ""
         shown = f", which reads {line!r}" if line else ""
-        raise InputError(f"{path}: not valid TOML: {error}{shown}", "a-file-that-is-no-toml") from None
+        hint = "; write paths with / or in single quotes" if "\\" in line else ""
+        raise InputError(f"{path}: not valid TOML: {error}{shown}{hint}", "a-file-that-is-no-toml") from None
 
 
 def read_choices(arguments: Sequence[str]) -> dict[str, list[Any]]:

@@ -14,6 +14,10 @@ from hjprofile.problem.profiles import Points, Profile
 from hjprofile.problem.units import Units
 
 REPAIR_SLOPE = 0.05  # least slope that a repaired survey keeps, as a fraction of the critical slope
+# Of the relief, the farthest that a repair may move a point. Noise of 2 m moves those of the hillslope by 0.7 % of its
+# 652 m at most, noise of 5 m by 2 %; what moves by a tenth has been mistyped, or was not measured
+MOST_MOVED = 0.1
+LONGEST_SHOWN = 60  # characters of a line in a message
 FAR = 3.0  # times the critical slope, or a part of it: a mean slope that is told; a metre has 3.28 feet
 ABOUT = "a-survey"  # heading of the page on errors
 FORMAT = "the-file-of-a-survey"
@@ -28,7 +32,8 @@ def survey(
     x and height are divided by `length` (the exchange length, over which an avalanche grows e-fold), height also by
     `critical_slope`; the last point becomes the origin. The profile is linear between points and has the critical
     slope left of the first. Raises InputError if the survey descends somewhere, unless `repair` is "isotonic": then
-    it is replaced by the nearest profile (least squares) that rises everywhere by at least 0.05 of the critical slope.
+    it is replaced by the nearest profile (least squares) that rises everywhere by at least 0.05 of the critical slope;
+    InputError where that moves a point by more than 0.1 of the relief, or the top is at the left.
     """
     for name, value in (("critical_slope", critical_slope), ("length", length)):
         if not (np.isfinite(value) and value > 0):
@@ -40,9 +45,10 @@ def survey(
     account = ""
     least = REPAIR_SLOPE * critical_slope if repair else 0.0
     falls = np.flatnonzero(np.diff(height) <= least * np.diff(x))
-    if falls.size and repair is None:
+    upside_down = _top_at_the_left(height)
+    if falls.size and (upside_down or repair is None):
         shown = ", ".join(f"{rows[i]}-{rows[i + 1]}" for i in falls[:5]) + (", ..." if falls.size > 5 else "")
-        if height[0] > height[-1]:
+        if upside_down:
             remedy = "this one has its top at the left, so mirror it (write -x for x, and the last row first)"
         else:
             most = np.max(np.abs(np.diff(height)[falls]))
@@ -52,14 +58,19 @@ def survey(
             DOES_NOT_RISE,
         )
     if falls.size:
-        from scipy.optimize import isotonic_regression
-
-        # a hair above the least slope, so that rounding cannot bring it below
-        tilt = (1 + 1e-9) * least * (x - x[-1])
-        repaired = isotonic_regression(height - tilt).x + tilt
+        repaired = nearest_rising(x, height, least)
         moved = np.abs(repaired - height)
+        far = moved > MOST_MOVED * np.ptp(repaired)
+        if far.any():
+            i = _farthest_off(height, moved, far)
+            raise InputError(
+                f"file = {str(file)!r} row {rows[i]}: repair = 'isotonic' would move its height of {height[i]:g} by "
+                f"{moved[i]:.5g}, more than a tenth of all that the survey rises; correct or delete that row",
+                DOES_NOT_RISE,
+            )
+        rounding = 1e-9 * (np.ptp(height) + least * np.ptp(x))
         account = (
-            f"survey repaired: {np.count_nonzero(moved > 1e-9 * (np.ptp(height) - tilt[0]))} of {x.size} points moved, "
+            f"survey repaired: {np.count_nonzero(moved > rounding)} of {x.size} points moved, "
             f"by {moved.max():.3g} at most and {np.sqrt(np.mean(moved**2)):.3g} on average (r.m.s.)"
         )
         height = repaired
@@ -87,6 +98,32 @@ def survey(
     )
 
 
+def nearest_rising(x: Array, height: Array, least: float) -> Array:
+    """The heights nearest to these, by least squares, that rise everywhere by a slope of `least` and a hair."""
+    from scipy.optimize import isotonic_regression
+
+    tilt = (1 + 1e-9) * least * (x - x[-1])  # the hair: rounding cannot bring the slope below
+    return isotonic_regression(height - tilt).x + tilt
+
+
+def _top_at_the_left(height: Array) -> bool:
+    """Whether a survey falls on the whole; by medians of its halves, which a wrong height at an end does not move."""
+    half = (height.size + 1) // 2
+    return bool(np.median(height[:half]) > np.median(height[-half:]))
+
+
+def _farthest_off(height: Array, moved: Array, far: Array) -> int:
+    """Which of the points that are `far` off is to blame, as a wrong height takes its neighbours along.
+
+    That is the one which moves farthest, and lies farthest beyond the heights that stay.
+    """
+    beyond = np.zeros_like(height)
+    if not far.all():
+        stay = height[~far]
+        beyond = np.abs(height - np.clip(height, stay.min(), stay.max()))
+    return int(np.argmax(np.where(far, moved + beyond, 0.0)))
+
+
 def read_survey(path: str | Path) -> tuple[Array, Array, list[int]]:
     """x, height and their rows in a CSV file with header `x,height` (which is row 1), x increasing.
 
@@ -96,27 +133,35 @@ def read_survey(path: str | Path) -> tuple[Array, Array, list[int]]:
     require_file(path)
     try:
         with open(path, newline="", encoding="utf-8-sig") as stream:
-            lines = [(n, row) for n, row in enumerate(csv.reader(stream), start=1) if row and row[0].strip()[:1] != "#"]
+            text = list(stream)
+        reader = csv.reader(text)
+        lines = [
+            (n, row, text[reader.line_num - 1].strip()[:LONGEST_SHOWN])
+            for n, row in enumerate(reader, start=1)
+            if row and row[0].strip()[:1] != "#"
+        ]
     except (OSError, csv.Error) as error:
         raise InputError(f"file = {str(path)!r} cannot be read as CSV: {error}", ABOUT) from None
     except ValueError as error:
         message = f"file = {str(path)!r} cannot be read as CSV: {error}; save it as text in UTF-8"
         raise InputError(message, FORMAT) from None
     if not lines or [c.strip() for c in lines[0][1]] != ["x", "height"]:
-        found = ",".join(lines[0][1]) if lines else "nothing"
-        message = f"file = {str(path)!r} must begin with the header 'x,height', not {found[:60]!r}"
+        found = lines[0][2] if lines else "nothing"
+        message = f"file = {str(path)!r} must begin with the header 'x,height', not {found!r}"
         raise InputError(f"{message}; {_what_a_header_is(found)}", FORMAT)
     rows: list[int] = []
     values: list[tuple[float, float]] = []
-    for n, row in lines[1:]:
+    for n, row, line in lines[1:]:
         try:
             x, height = (float(c) for c in row)
         except ValueError:
-            remedy = "a comma between them, points for decimals, no unit; a row without a height is left out"
-            message = f"file = {str(path)!r} row {n}: {','.join(row)!r} must be two numbers ({remedy})"
+            message = (
+                f"file = {str(path)!r} row {n}: {line!r} must be two numbers (a comma between them, points for "
+                "decimals, no separator for thousands, no unit; a row without a height is left out)"
+            )
             raise InputError(message, FORMAT) from None
         if not (np.isfinite(x) and np.isfinite(height)):
-            message = f"file = {str(path)!r} row {n}: {','.join(row)!r} must be finite; leave out what was not measured"
+            message = f"file = {str(path)!r} row {n}: {line!r} must be finite; leave out what was not measured"
             raise InputError(message, FORMAT)
         if values and x <= values[-1][0]:
             raise InputError(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -10,7 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from hjprofile.errors import InputError
+from hjprofile.errors import InputError, did_you_mean
 from hjprofile.monitors.bounds import (
     HIGHER_ORDER,
     LOCAL,
@@ -154,8 +153,7 @@ def solve_case(case: Case, progress: Progress | None = None, strict: bool = Fals
 
 def _known(method: str, methods: tuple[str, ...]) -> None:
     if method not in methods:
-        close = difflib.get_close_matches(method, methods, 1)
-        hint = f"; did you mean {close[0]!r}?" if close else ""
+        hint = did_you_mean(method, methods)
         raise InputError(f"method = {method!r} is not known{hint} (allowed: {', '.join(methods)})")
 
 

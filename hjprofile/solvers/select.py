@@ -91,7 +91,7 @@ class _Search:
         account = f"{run.account}: error of u about {estimate:.1g} (tolerance {self.tolerance:g}{beyond}), "
         account += f"{self.seconds:.2g} s"
         case = resolved_case(self.problem, self.grid, "auto", tolerance=self.tolerance)
-        account = "; ".join(filter(None, (self.problem.profile.account, account)))
+        account = "\n".join(filter(None, (self.problem.profile.account, account)))
         return replace(run, case=case, account=account, wall_seconds=self.seconds)
 
 

@@ -23,7 +23,7 @@ _LOOKS: tuple[dict[str, Any], ...] = (
     {"color": TWO_RUNS[0], "lw": 1.5},
     {"color": TWO_RUNS[1], "lw": 1.0, "ls": (0, (3, 2))},
 )
-_LARGEST: dict[str, Any] = {"color": INK, "lw": 0.9, "label": "largest |difference of u|"}
+_LARGEST: dict[str, Any] = {"color": INK, "lw": 0.9}
 _KINKS: dict[str, Any] = {"color": INK, "ls": "none", "marker": ".", "ms": 4.0, "label": "distance of kinks"}
 
 
@@ -38,9 +38,16 @@ def draw_comparison(first: Run, second: Run, names: tuple[str, str]) -> Figure:
     """Both profiles at up to four shared times, their differences in u and q; through time the largest one of u, and
     how far kinks are apart.
 
-    In exchange lengths, also for surveys. Raises InputError if the runs cannot be compared.
+    In the survey's units if both runs have the same, else in exchange lengths. Raises InputError if the runs cannot be
+    compared.
     """
     both = shared(first, second)
+    units = first.units if first.units == second.units else None
+    coarse = first if first.cells <= second.cells else second
+    x, _, label_of_x, label_of_height = style.axes_units(coarse, units)
+    heights = units.height(both.height) if units else both.height
+    length, x_cell = (units.length, units.x(both.x_cell)) if units else (1.0, both.x_cell)
+    of_height = "difference of height" if units else "difference of u"
     times = first.time[both.first]
     names = tuple(n if len(n) <= LONGEST else f"{n[: LONGEST - 1]}…" for n in names)  # type: ignore[assignment]
     lines = [f"{name}: {run.method}, {run.cells} cells" for name, run in zip(names, (first, second), strict=True)]
@@ -61,26 +68,28 @@ def draw_comparison(first: Run, second: Run, names: tuple[str, str]) -> Figure:
     last = figure.add_subplot(parts[1])
     norm = Normalize(*style.span(times))
     for i in style.spread(times.size, SHOWN):
-        for height, look in zip(both.height, _LOOKS, strict=True):
-            top.plot(both.x, height[i], **look)
+        for height, look in zip(heights, _LOOKS, strict=True):
+            top.plot(x, height[i], **look)
         colour = TIMES(norm(times[i]))
-        middle.plot(both.x, both.height[0, i] - both.height[1, i], color=colour, lw=0.9)
-        bottom.plot(both.x_cell, both.slope[0, i] - both.slope[1, i], color=colour, lw=0.9)
-    largest = np.abs(both.height[0] - both.height[1]).max(axis=1)
-    distances = [(t, d) for t in times for d in kink_distances(first, second, t) if d > ROUNDING]
-    last.plot(times, np.where(largest > ROUNDING, largest, np.nan), **_LARGEST)
+        middle.plot(x, heights[0, i] - heights[1, i], color=colour, lw=0.9)
+        bottom.plot(x_cell, both.slope[0, i] - both.slope[1, i], color=colour, lw=0.9)
+    apart = np.abs(both.height[0] - both.height[1]).max(axis=1) > ROUNDING
+    largest = np.abs(heights[0] - heights[1]).max(axis=1)
+    distances = [(t, length * d) for t in times for d in kink_distances(first, second, t) if d > ROUNDING]
+    curve = _LARGEST | {"label": f"largest |{of_height}|"}
+    last.plot(times, np.where(apart, largest, np.nan), **curve)
     last.plot(*np.array(distances).reshape(-1, 2).T, **_KINKS)
     runs = [Line2D([], [], **look, label=name) for name, look in zip(names, _LOOKS, strict=True)]
-    style.legend_above(figure, [runs[0], Line2D([], [], **_LARGEST), runs[1], Line2D([], [], **_KINKS)], rows=2)
-    for axes, label in zip((top, middle, bottom), ("height u", "difference of u", "difference of q"), strict=True):
+    style.legend_above(figure, [runs[0], Line2D([], [], **curve), runs[1], Line2D([], [], **_KINKS)], rows=2)
+    for axes, label in zip((top, middle, bottom), (label_of_height, of_height, "difference of q"), strict=True):
         axes.set_ylabel(label)
         if axes is not top:
             axes.axhline(0.0, color="0.6", lw=0.6, zorder=0)
-    style.axis_of_x(bottom, both.x, style.axes_units(first, None)[2])
+    style.axis_of_x(bottom, x, label_of_x)
     last.set_ylabel("distance")
     last.set_xlabel("t: mass of grains poured in")
     last.set_xlim(*style.span(times))
-    if distances or largest.max() > ROUNDING:
+    if distances or apart.any():
         last.set_yscale("log")
         style.plain_numbers(last.yaxis)
     else:
