@@ -1,6 +1,7 @@
 """Shock-fitted characteristics: closed forms, births, merges and fans to 1e-11, and never a wrong answer."""
 
 import contextlib
+import warnings
 
 import numpy as np
 import oracles
@@ -231,3 +232,11 @@ def test_a_law_may_overflow_where_no_slope_is(values):
     problem = hj.Problem(hj.power(30.0), hj.steps([-1.0, -0.97], values), end=1e-3, snapshots=[1e-3])
     with contextlib.suppress(hj.RunError):  # of the first, K may be too large
         hj.solve_characteristics(problem, hj.Grid(-2.0, 40), 1e-5)
+
+
+def test_a_factor_beyond_all_numbers_is_told_of_without_a_warning():
+    problem = hj.Problem(hj.rational(), hj.steps([-2000.0, -1.0], [5.0]), end=1.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run = hj.solve_characteristics(problem, hj.Grid(-2001.0, 2001))
+    assert run.status.startswith("stopped at t = 0, before")

@@ -125,9 +125,10 @@ def test_compare_measures_what_it_says():
     a = hj.solve_hj(problem, hj.Grid(-5.0, 200))
     same = hj.compare(a, a)
     assert same.slope_max <= 1e-12 and same.height_sup == 0.0 and same.kinks == 0.0
-    moved = replace(a, u=a.u + 0.25, q=a.q - 0.5, kinks=[k._replace(x=k.x + 0.01) for k in a.kinks])
+    moved = replace(a, u=a.u + 0.25 * a.time[:, None], q=a.q - 0.5, kinks=[k._replace(x=k.x + 0.01) for k in a.kinks])
     apart = hj.compare(a, moved)
-    assert apart.height_sup == pytest.approx(0.25) and apart.height_l1 == pytest.approx(0.25 * 5.0 * 201 / 200)
+    assert apart.height_sup == pytest.approx(0.25)  # at t = 1, the largest; the mean over 0, 0.5 and 1 is half of it
+    assert apart.height_l1 == pytest.approx(0.125 * 5.0 * 201 / 200)
     assert apart.slope_l1 == pytest.approx(2.5) and apart.slope_max == pytest.approx(0.5)
     assert apart.kinks == pytest.approx(0.01)
 
@@ -142,3 +143,7 @@ def test_compare_across_nested_grids_converges():
 def test_observed_order():
     assert hj.observed_order([10, 20, 40], [1.0, 0.25, 0.0625]) == pytest.approx(2.0)
     assert np.isnan(hj.observed_order([10, 20], [1.0, 0.0]))
+    assert np.isnan(hj.observed_order([10], [1.0])) and np.isnan(hj.observed_order([10, 10], [1.0, 0.5]))
+    with pytest.raises(hj.InputError, match="errors has 1 entries and cells has 2"):
+        hj.observed_order([10, 20], [1.0])
+    assert np.isnan(hj.observed_order([0, 20], [1.0, 0.5]))

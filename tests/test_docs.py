@@ -194,9 +194,18 @@ def test_continuous_integration_runs_the_readmes_tests():
 
 def test_every_public_name_is_on_the_page_of_the_python_interface():
     text = (DOCS / "api.md").read_text(encoding="utf-8")
-    told = re.findall(r"^\.\. auto\w+:: (\w+)$", text, flags=re.M)
+    told = re.findall(r"^\.\. auto\w+:: (\w+)$", text, flags=re.M)  # types that are only returned have full names
     assert sorted([*told, "__version__"]) == sorted(hj.__all__)
     assert "hj.__version__" in text
+
+
+def test_the_steps_of_the_hillslope_are_those_of_its_run():
+    told = re.search(
+        r"its steps range from ([\d.e-]+) to ([\d.e-]+\d)", (DOCS / "theory.md").read_text(encoding="utf-8")
+    )
+    run = hj.solve_case(hj.load_case("hillslope"))
+    # two digits; what is bounded ahead may differ a little between machines
+    assert run.step_range == pytest.approx([float(step) for step in told.groups()], rel=0.03)
 
 
 def test_every_page_is_on_the_site():

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.errors import InputError
+from hjprofile.problem.lists import same_length
 from hjprofile.solvers.run import Array, Run
 
 ABOUT = "a-check-or-a-study"
@@ -15,13 +16,15 @@ STRONG = 0.25  # jump above which every method here sees a kink on a few hundred
 
 
 class Comparison(NamedTuple):
-    """How far two runs are apart; each norm is a mean over the saved times, `_max` the largest of them.
+    """How far two runs are apart, over all times that both have saved, t = 0 among them if it is one.
 
     Attributes:
-        slope_l1, slope_max: ∫|(D u₁ - 1) - q₂| dx, where D u is the difference quotient on the cells, and its supremum.
-        height_l1, height_sup: ∫|u₁ - u₂| dx and sup|u₁ - u₂|.
-        kinks: |x₁ - x₂| over kinks stronger than STRONG, at times after the start when both runs see as many; NaN if
-            there are none.
+        slope_l1: ∫|(D u₁ - 1) - q₂| dx, where D u is the difference quotient on the cells; the mean over the times.
+        slope_max: sup|(D u₁ - 1) - q₂|, the largest of all times.
+        height_l1: ∫|u₁ - u₂| dx, the mean over the times.
+        height_sup: sup|u₁ - u₂|, the largest of all times.
+        kinks: |x₁ - x₂| of the kinks whose jump exceeds 0.25, the mean over those times after the start at which both
+            runs see as many; NaN if there are none.
     """
 
     slope_l1: float
@@ -79,7 +82,11 @@ def shared(first: Run, second: Run) -> Shared:
 
 
 def compare(first: Run, second: Run) -> Comparison:
-    """How far two runs are apart on the grid and at the times that they share. Raises InputError as `shared` does."""
+    """How far two runs are apart on the coarser of their grids and at the times that both have saved.
+
+    Raises InputError if the grids have not the same ends, if the cells of neither are a whole number of times those of
+    the other, or if the runs share no saved time.
+    """
     both = shared(first, second)
     times, dx = first.time[both.first], float(np.ptp(both.x)) / both.x_cell.size
     height, slope = both.height[0] - both.height[1], both.slope[0] - both.slope[1]
@@ -89,7 +96,7 @@ def compare(first: Run, second: Run) -> Comparison:
         slope_l1=float(np.mean(dx * np.abs(slope).sum(axis=1))),
         slope_max=float(np.max(np.abs(slope))),
         height_l1=float(np.mean(dx * np.abs(height).sum(axis=1))),
-        height_sup=float(np.mean(np.abs(height).max(axis=1))),
+        height_sup=float(np.max(np.abs(height))),
         kinks=float(np.mean(pairs)) if pairs.size else float("nan"),
     )
 
@@ -101,8 +108,13 @@ def kink_distances(first: Run, second: Run, time: float) -> Array:
 
 
 def observed_order(cells: Sequence[float], errors: Sequence[float]) -> float:
-    """Slope of -ln(error) over ln(cells) by least squares; NaN if an error is zero or not finite."""
-    e = np.asarray(errors, dtype=float)
-    if not np.all(np.isfinite(e) & (e > 0)):
+    """Slope of -ln(error) over ln(cells) by least squares.
+
+    NaN if an error or a number of cells is not positive, or no finite number, or if there are fewer than two different
+    numbers of cells. Raises InputError if there are not as many errors as numbers of cells.
+    """
+    n, e = np.asarray(cells, dtype=float), np.asarray(errors, dtype=float)
+    same_length(cells=n, errors=e)
+    if np.unique(n).size < 2 or not np.all((n > 0) & np.isfinite(e) & (e > 0)):
         return float("nan")
-    return float(-np.polyfit(np.log(np.asarray(cells, dtype=float)), np.log(e), 1)[0])
+    return float(-np.polyfit(np.log(n), np.log(e), 1)[0])

@@ -80,6 +80,7 @@ class Consistency:
 
     @property
     def passes(self) -> bool:
+        """Whether every comparison passes."""
         return all(c.passes for c in self.comparisons)
 
     def __bool__(self) -> bool:
@@ -120,7 +121,7 @@ def check_consistency(
 
     With a prescribed coefficient, and where the factor is kept for a while, neither the volume budget of the nonlocal
     factor nor its third witness says anything, and they are left out. Under a law of linear growth only those of the
-    methods that carry vertical steps are made (theory, §14).
+    methods that carry vertical steps are made (theory, §14). Raises InputError and RunError as `check`.
     """
     steep = problem.law.grows_linearly
     finest = min(max(grid.cells, LEAST_CELLS), MOST_CELLS) // 8 * 8

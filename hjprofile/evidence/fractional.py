@@ -19,9 +19,9 @@ TIMES = 6  # over which errors are taken, with both ends
 
 
 class Step(NamedTuple):
-    """What comes of one `refresh` Δt: means over the saved times of ∫|Δq| dx, sup|Δu| and the distance of kinks.
+    """What comes of one `refresh` Δt: ∫|Δq| dx and the distance of kinks, means over the saved times, and sup|Δu|.
 
-    The last is NaN where there are no kinks that both runs see.
+    The distance of kinks is NaN where there are none that both runs see.
     """
 
     refresh: float

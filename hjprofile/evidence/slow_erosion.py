@@ -17,8 +17,10 @@ from hjprofile.solvers.methods import solve_conservative
 class Departure(NamedTuple):
     """How far a slope below a layer of that thickness is from the limit, on the same grid.
 
-    slope_l1, height_sup: ∫|q - q of the limit| dx and sup|u - u of the limit|, at the end.
-    steps: time steps; those of the limit where the thickness is 0.
+    Attributes:
+        thickness: ε; 0 for the limit itself.
+        slope_l1, height_sup: ∫|q - q of the limit| dx and sup|u - u of the limit|, at the end.
+        steps: time steps.
     """
 
     thickness: float

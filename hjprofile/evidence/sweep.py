@@ -73,7 +73,7 @@ class Outcome(NamedTuple):
     Attributes:
         status: "done", or a sentence that says why not; then there are no numbers.
         method: that solved it.
-        quantities: by the names in QUANTITIES; NaN where there is none.
+        quantities: by the names of their columns in sweep.csv; NaN where there is none.
         broken_bounds: names of the bounds that did not hold, with a space between them.
         wall_seconds: of the time stepping alone.
         u: height at the last saved time, shape (cells + 1,).

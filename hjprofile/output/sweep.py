@@ -52,7 +52,7 @@ class Sweep:
         return tuple(map(len, self.vary.values()))
 
     def quantity(self, name: str) -> Array:
-        """One of QUANTITIES over the grid of the values, `shape`; NaN where a member failed."""
+        """A column of sweep.csv that holds numbers, over the grid of the values, `shape`; NaN where a member failed."""
         return np.array([o.quantities.get(name, np.nan) for o in self.outcomes]).reshape(self.shape)
 
 

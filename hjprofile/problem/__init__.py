@@ -35,6 +35,9 @@ class Problem:
         thickness: of the rolling layer at the top where the slope is critical, which is the flux ε that is poured in
             (theory, §8); 0 is the limit of slow erosion.
         line: "half", the slope x <= 0 below its top, or "whole", of which the grid is a window (theory, §13).
+
+    Raises InputError if one of these makes no sense, or two do not go together. Whether profile, law, grid and method
+    do is looked at when a run begins, before anything is computed.
     """
 
     law: ErosionLaw

@@ -73,6 +73,7 @@ class ErosionLaw:
 
     @property
     def name(self) -> str:
+        """The law's name in a case file: "rational", "log", "power", "expression" or "python"."""
         return str(self.table["law"])
 
     def inverse(self, y) -> Array:
@@ -133,7 +134,7 @@ class ErosionLaw:
     def decay(self, q0: float, distance) -> Array:
         """q at `distance` >= 0 to the right of a place with q = q0, where W + R(q) is constant in x.
 
-        Solves R'(q) q_x = -q (theory, §4); for the rational law q = q0 exp(-distance).
+        Solves R'(q) q_x = -q (theory, §4); for the rational law q = q0 exp(-distance). `distance` may have any shape.
         """
         distance = np.asarray(distance, dtype=float)
         if self.name == "rational" or q0 == 0.0:
@@ -172,7 +173,10 @@ def log() -> ErosionLaw:
 
 
 def power(m: float) -> ErosionLaw:
-    """f = (1 - (1+q)^-m)/m with m > 0; m = 1 is the rational law, m -> 0 the logarithm."""
+    """f = (1 - (1+q)^-m)/m with m > 0; m = 1 is the rational law, m -> 0 the logarithm.
+
+    Raises InputError unless 1e-100 <= m <= 100.
+    """
     if not 1e-100 <= m <= 100.0:  # beyond, f is lost in underflow or overflow at ordinary slopes
         raise InputError(f"m = {m} must be a positive number, at most 100 (and not below 1e-100: use the law 'log')")
 
@@ -189,7 +193,7 @@ def power(m: float) -> ErosionLaw:
 
 
 def expression(text: str, growth: str | None = None) -> ErosionLaw:
-    """A law from an arithmetic expression in q (`expressions.arithmetic`).
+    """A law from an arithmetic expression in q: numbers, + - * / **, exp, log, log1p, expm1, sqrt.
 
     Raises InputError for anything else, and for a law that breaks an assumption. `growth` as in `erosion_law`.
     """

@@ -19,7 +19,8 @@ NOISE = 1e-11  # of the difference quotients there
 class Grid:
     """`cells` equal cells on [left, right]; u and K live on the cells + 1 nodes, q on the cells.
 
-    On the half line `right` is 0, the top of the slope; on the whole line it is where the window ends.
+    Both ends are in exchange lengths, left < right. On the half line `right` is 0, the top of the slope; on the whole
+    line it is where the window ends. Raises InputError for other ends, or fewer than 4 cells.
     """
 
     left: float
@@ -37,6 +38,7 @@ class Grid:
 
     @property
     def dx(self) -> float:
+        """Width of a cell."""
         return (self.right - self.left) / self.cells
 
     @cached_property

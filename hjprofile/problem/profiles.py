@@ -15,41 +15,11 @@ import numpy as np
 from hjprofile.errors import InputError
 from hjprofile.problem.erosion import Array, ErosionLaw
 from hjprofile.problem.grid import Grid, grid_from, start_of
+from hjprofile.problem.lists import above_minus_one, numbers, same_length, within
 from hjprofile.problem.units import Units
 
 TAIL = 1e-6  # mass and slope that a grid may cut off on the left; a grid solver's own error is larger
 GAUSS = np.polynomial.legendre.leggauss(16)
-
-
-def _numbers(name: str, values: Any, least: int = 1) -> Array:
-    try:
-        array = np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"{name} = {values!r} must be a list of numbers") from None
-    if array.ndim != 1 or array.size < least:
-        raise InputError(f"{name} = {values!r} must be a list of at least {least} numbers")
-    if not np.all(np.isfinite(array)):
-        raise InputError(f"{name}[{np.argmin(np.isfinite(array))}] must be a finite number")
-    return array
-
-
-def _same_length(**named: Array) -> None:
-    (first, a), *others = named.items()
-    for name, b in others:
-        if a.size != b.size:
-            raise InputError(f"{name} has {b.size} entries and {first} has {a.size}; they must be as many")
-
-
-def _within(grid: Grid, name: str, places: Array) -> None:
-    if places[-1] > grid.right:
-        end = f"right = {grid.right:g}, where the window ends" if grid.right else "the top; the domain ends at x = 0"
-        raise InputError(f"{name}[{places.size - 1}] = {places[-1]:g} lies past {end}")
-
-
-def _above_minus_one(name: str, values: Array) -> None:
-    if np.any(values <= -1.0):
-        i = int(np.argmax(values <= -1.0))
-        raise InputError(f"{name}[{i}] = {values[i]:g} must be above -1: the slope u_x = 1 + q is positive")
 
 
 class Profile:
@@ -125,8 +95,8 @@ class Kinks(Profile):
     amplitudes: Array
 
     def __post_init__(self) -> None:
-        x, a = _numbers("positions", self.positions), _numbers("amplitudes", self.amplitudes)
-        _same_length(positions=x, amplitudes=a)
+        x, a = numbers("positions", self.positions), numbers("amplitudes", self.amplitudes)
+        same_length(positions=x, amplitudes=a)
         if np.any(np.diff(x) <= 0):
             raise InputError(f"positions = {x.tolist()} must increase from left to right")
         object.__setattr__(self, "positions", x)
@@ -140,7 +110,7 @@ class Kinks(Profile):
         return float(self.positions[0])
 
     def check(self, grid: Grid, law: ErosionLaw) -> None:
-        _within(grid, "positions", self.positions)
+        within(grid, "positions", self.positions)
         self._pieces(law)
         super().check(grid, law)
 
@@ -191,8 +161,8 @@ class Bumps(Profile):
     widths: Array
 
     def __post_init__(self) -> None:
-        a, c, w = (_numbers(n, getattr(self, n)) for n in ("amplitudes", "centres", "widths"))
-        _same_length(amplitudes=a, centres=c, widths=w)
+        a, c, w = (numbers(n, getattr(self, n)) for n in ("amplitudes", "centres", "widths"))
+        same_length(amplitudes=a, centres=c, widths=w)
         if np.any(w <= 0):
             raise InputError(f"widths[{np.argmax(w <= 0)}] = {w[np.argmax(w <= 0)]:g} must be positive")
         for name, value in (("amplitudes", a), ("centres", c), ("widths", w)):
@@ -245,13 +215,13 @@ class Points(Profile):
     account: str = ""
 
     def __post_init__(self) -> None:
-        x, q = _numbers("x", self.x, 2), _numbers("q", self.q, 2)
-        _same_length(x=x, q=q)
+        x, q = numbers("x", self.x, 2), numbers("q", self.q, 2)
+        same_length(x=x, q=q)
         if np.any(np.diff(x) < 0):
             raise InputError(f"x[{np.argmax(np.diff(x) < 0) + 1}] must not be left of the point before it")
         if np.any((np.diff(x)[1:] == 0) & (np.diff(x)[:-1] == 0)):
             raise InputError("x holds a position three times; a jump takes two")
-        _above_minus_one("q", q)
+        above_minus_one("q", q)
         object.__setattr__(self, "x", x)
         object.__setattr__(self, "q", q)
 
@@ -264,8 +234,8 @@ class Points(Profile):
 
     def check(self, grid: Grid, law: ErosionLaw) -> None:
         if self.table["kind"] == "steps":
-            _within(grid, "edges", np.unique(self.x))
-        _within(grid, "x", self.x)
+            within(grid, "edges", np.unique(self.x))
+        within(grid, "x", self.x)
         super().check(grid, law)
 
     def breaks(self, law: ErosionLaw) -> Array:
@@ -403,37 +373,63 @@ class Given(Profile):
 
 
 def kinks(positions: Sequence[float], amplitudes: Sequence[float]) -> Profile:
-    """Upward jumps of q to `amplitudes` at `positions`, with the law's own decay in between (theory, §5)."""
+    """Upward jumps of q to `amplitudes` at `positions`, with the law's own decay in between (theory, §5).
+
+    Positions are in exchange lengths, at most 0 on the half line, and increase; amplitudes, in critical slopes, are as
+    many. q is 0 on the left; each amplitude has to exceed the q = u_x - 1 that it meets, which depends on the law and
+    is looked at when a run begins. Raises InputError for other lists.
+    """
     return Kinks(np.asarray(positions), np.asarray(amplitudes))
 
 
 def bumps(amplitudes: Sequence[float], centres: Sequence[float], widths: Sequence[float]) -> Profile:
-    """q = Σ a exp(-((x - c)/w)²)."""
+    """q = Σ a exp(-((x - c)/w)²), with a, c and w from `amplitudes`, `centres` and `widths`, three lists as long.
+
+    q = u_x - 1 is in critical slopes, centres and widths in exchange lengths; widths are positive. Raises InputError
+    for other lists, and where q is not above -1.
+    """
     return Bumps(np.asarray(amplitudes), np.asarray(centres), np.asarray(widths))
 
 
 def points(x: Sequence[float], q: Sequence[float]) -> Profile:
-    """q linear between points; a repeated x is a jump; 0 outside."""
+    """q linear between the points (x, q), at least two; an x that is given twice is a jump; q = 0 outside.
+
+    x is in exchange lengths, at most 0 on the half line, and never decreases; q = u_x - 1, in critical slopes, is above
+    -1. Raises InputError for other lists.
+    """
     return Points(np.asarray(x), np.asarray(q))
 
 
 def steps(edges: Sequence[float], values: Sequence[float]) -> Profile:
-    """q = values[i] on (edges[i], edges[i+1]), 0 outside."""
-    e, v = _numbers("edges", edges, 2), _numbers("values", values)
+    """q = values[i] on (edges[i], edges[i+1]), 0 outside; edges are one more than values.
+
+    Edges are in exchange lengths, at most 0 on the half line, and increase; q = u_x - 1, in critical slopes, is above
+    -1. Raises InputError for other lists.
+    """
+    e, v = numbers("edges", edges, 2), numbers("values", values)
     if e.size != v.size + 1:
         raise InputError(f"edges has {e.size} entries and values has {v.size}; edges must have one more than values")
     if np.any(np.diff(e) <= 0):
         raise InputError(f"edges = {e.tolist()} must increase from left to right")
-    _above_minus_one("values", v)
+    above_minus_one("values", v)
     table = {"kind": "steps", "edges": e.tolist(), "values": v.tolist()}
     return Points(np.repeat(e, 2)[1:-1], np.repeat(v, 2), source=table)
 
 
 def steady(flux: float, kink: float | None = None) -> Profile:
-    """The steady slope of the given flux, right of a kink if one is given (theory, §6e-f)."""
+    """The steady slope of the given flux a, right of a kink if one is given (theory, §6e-f).
+
+    a > 0 must be less than the supremum of the law's f (1 for `rational`), which is looked at when a run begins; the
+    kink is at x < 0, in exchange lengths. Without one the flux a enters at the left end, and a grid must be given.
+    Raises InputError for other numbers.
+    """
     return Steady(flux, kink)
 
 
 def profile(u: Callable[[Any], Any]) -> Profile:
-    """A profile from a Python function u(x), x <= 0."""
+    """A profile from a Python function: the height u at x <= 0, of arrays or of single numbers (slower).
+
+    u must rise, and have the critical slope (u_x = 1) from the left end of the grid on downwards. What it returns is
+    looked at when a run begins, which raises InputError if that is not so.
+    """
     return Given(u)

@@ -32,8 +32,8 @@ def survey(
     x and height are divided by `length` (the exchange length, over which an avalanche grows e-fold), height also by
     `critical_slope`; the last point becomes the origin. The profile is linear between points and has the critical
     slope left of the first. Raises InputError if the survey descends somewhere, unless `repair` is "isotonic": then
-    it is replaced by the nearest profile (least squares) that rises everywhere by REPAIR_SLOPE of the critical slope;
-    InputError where that moves a point by more than MOST_MOVED of the relief, or the top is at the left.
+    it is replaced by the nearest profile (least squares) that rises everywhere by at least 0.05 of the critical slope;
+    InputError where that moves a point by more than 0.1 of the relief, or the top is at the left.
     """
     for name, value in (("critical_slope", critical_slope), ("length", length)):
         if not (np.isfinite(value) and value > 0):

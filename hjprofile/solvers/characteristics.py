@@ -218,7 +218,8 @@ class _Solver:
             p, s = after_start(panels.off[k, 1], k + 1, panels.mesh)
             row = interpolation(np.array([s]))[0]
             sides.append(float(row @ panels.r[p]))
-            K = sides[1] * np.exp(row @ self.S[p] + self.c[k + 1])
+            with np.errstate(over="ignore"):  # of such a K the status tells
+                K = sides[1] * np.exp(row @ self.S[p] + self.c[k + 1])
             (q0, f0), (q1, f1) = (law_q_f(r, self.table) for r in sides)
             if q1 > q0:
                 speed = float(K * (f1 - f0) / (q1 - q0))
@@ -333,7 +334,7 @@ def solve_characteristics(
     A second run with a coarser tolerance gives `error_estimate`. The grid is by default 2000 cells over the profile.
     `patience` is the most work, in seconds but by count, so that every machine gives up at the same point.
     Where the method cannot go on, `status` says when, where and why, and the last saved time is the last good one.
-    Raises InputError for bad input and where a flux enters at the left end.
+    Raises InputError for bad input and where a flux enters at the left end, and RunError if the data cannot be cut.
     """
     if not FINEST <= tolerance <= COARSEST:
         raise InputError(f"tolerance = {tolerance:g} must lie between {FINEST:g} and {COARSEST:g}")

@@ -252,8 +252,8 @@ def track_fronts(
     times the seconds; the error that comes from the number of fronts stays.
 
     The grid is by default 2000 cells over the profile. Raises InputError for bad input and for a profile with q != 0 at
-    the left end. Where q comes so near to -1 that a piece is no longer resolved, `status` says so and the last saved
-    time is the last good one.
+    the left end, and RunError if fronts lose the slope before the first saved time. Where q comes so near to -1 later
+    that a piece is no longer resolved, `status` says so and the last saved time is the last good one.
     """
     if fronts < 4:
         raise InputError(f"fronts = {fronts} must be 4 or more")

@@ -34,7 +34,7 @@ FLUXES: Mapping[str, type[Flux]] = MappingProxyType(
 
 
 class HamiltonJacobi:
-    """A monotone first-order scheme for W = u - x with forward Euler steps, many of them in one sweep."""
+    """A first-order scheme for W = u - x with one of FLUXES and forward Euler steps, many of them in one sweep."""
 
     memory: tuple[str, ...] = ("W", "active", "growth", "outflow")
 

@@ -116,7 +116,7 @@ class _Pace:
     shortest: float = np.inf
     longest: float = 0.0
     speed: float = 0.0  # K f' met last
-    rise: float = 0.0  # of the speed from the last lot of steps to this, as a part of it
+    rise: float = 0.0  # of the speed from the last batch of steps to this, as a part of it
     outgrown: float = 0.0  # speed that was met in steps that were too long for it
     most: int = MOST_STEPS  # steps to take at once
     close_until: float = 0.0  # time up to which few steps are taken at once

@@ -61,11 +61,12 @@ def solve_hj(
     progress: Progress | None = None,
     refresh: float | None = None,
 ) -> Run:
-    """Solves u_t + K f(u_x - 1) = 0 with a monotone first-order scheme on the nodes.
+    """Solves u_t + K f(u_x - 1) = 0 on the nodes, as W = u - x (theory, §2).
 
-    `method` is one of HJ_METHODS, `cfl` the time step as a part of the largest monotone one, `refresh` how long the
-    factor is kept before it is taken anew (theory, §10; None: anew in every step). Raises InputError for bad input; a
-    run that breaks down returns what was good, with the reason in `status`.
+    `method` is "local-lax-friedrichs", "lax-friedrichs", "godunov", "telescoping" (first order), "eno2" or "weno5";
+    `cfl` the time step as a part of the largest that the method admits, up to 1; `refresh` how long the factor is kept
+    before it is taken anew (theory, §10; None: anew in every step). Raises InputError for bad input, and RunError if
+    the run cannot start; one that breaks down later returns what was good, with the reason in `status`.
     """
     _known(method, HJ_METHODS)
     problem.check(grid, method, refresh)
@@ -80,10 +81,11 @@ def solve_conservative(
     progress: Progress | None = None,
     refresh: float | None = None,
 ) -> Run:
-    """Solves q_t + (K f(q))_x = 0 on the cells; `method` is one of CONSERVATIVE_METHODS.
+    """Solves q_t + (K f(q))_x = 0 on the cells.
 
-    "conservative" is second order and independent of `solve_hj`; the others carry a flux of `solve_hj` over, with which
-    the two forms agree to rounding. Otherwise as `solve_hj`.
+    `method` is "conservative", second order and independent of `solve_hj`, or "conservative-" before the name of one of
+    its methods: that carries the flux over, and the two forms agree to rounding. Otherwise as `solve_hj`, with the same
+    errors raised.
     """
     _known(method, CONSERVATIVE_METHODS)
     problem.check(grid, method, refresh)
@@ -94,7 +96,7 @@ def solve(problem: Problem, tolerance: float, grid: Grid | None = None, progress
     """Solves to a tolerance on sup|u - exact u| over all saved times with the least work (`solvers/select.py`).
 
     The result is read on `grid`, by default 2000 cells over the profile. `method` says what was chosen, `account` why,
-    and `error_estimate` what was reached.
+    and `error_estimate` what was reached. Raises InputError for bad input, and RunError if no method gets through.
     """
     if not FINEST <= tolerance <= 1.0:
         raise InputError(f"tolerance = {tolerance:g} must lie between {FINEST:g} and 1")
@@ -129,7 +131,8 @@ def solve_case(case: Case, progress: Progress | None = None, strict: bool = Fals
     """Solves a case by its own method.
 
     With `strict` a run on a grid stops where it breaks a bound that its method promises; any other returns with that
-    as its status. A keeper keeps checkpoints of runs on a grid; others take seconds.
+    as its status. A keeper keeps checkpoints of runs on a grid; others take seconds. Raises InputError if the case asks
+    for what does not go together, and RunError if the run cannot start, or with `auto` no method gets through.
     """
     check_method(case)
     problem, grid, method = case.problem, case.grid, case.method

@@ -206,6 +206,7 @@ class Run:
 
     @property
     def done(self) -> bool:
+        """Whether the run went to its end."""
         return self.status == "done"
 
     @property
@@ -215,6 +216,7 @@ class Run:
 
     @property
     def cells(self) -> int:
+        """Number of cells of the grid on which it is told."""
         return self.x_cell.size
 
     @property
