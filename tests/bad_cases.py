@@ -195,6 +195,8 @@ BAD |= {
         "domain",
         ["right = 2.5 needs line = 'whole'", "the top is at x"],
     ),
+    "a needed key misspelt": ({"time": {"ed": 1.0}}, "time", ["end is missing (is 'ed' meant for it?); it must be"]),
+    "law misspelt": ({"erosion": {"lav": "log"}}, "erosion", ["law is missing (is 'lav' meant for it?)"]),
     "no right on the line": ({"domain.line": "whole"}, "domain", ["right is missing; it must be a finite number"]),
     "unknown line": ({"domain.line": "double"}, "domain", ["line = 'double' is not known", "'half', 'whole'"]),
     "right of left": (

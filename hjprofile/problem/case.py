@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
@@ -76,11 +77,16 @@ class _Section:
         where = f"[{self.name}] " if self.name else ""
         return InputError(f"{self.source}: {where}{message}", about or ABOUT.get(self.name, "a-case-file"))
 
+    def missing(self, key: str, allowed: str) -> InputError:
+        near = difflib.get_close_matches(key, filter(str.isprintable, self.values), 1)  # of those not yet taken
+        hint = f" (is {near[0]!r} meant for it?)" if near else ""
+        return self.error(f"{key} is missing{hint}; it must be {allowed}", "a-key-that-is-missing")
+
     def take(self, key: str, kind: Callable[[Any], Any], default: Any = ...) -> Any:
         self.known.append(key)
         if key not in self.values:
             if default is ...:
-                raise self.error(f"{key} is missing; it must be {kind.__doc__}", "a-key-that-is-missing")
+                raise self.missing(key, str(kind.__doc__))
             return default
         value = self.values.pop(key)
         try:
@@ -100,9 +106,7 @@ class _Section:
 
 def _shown(value: Any) -> str:
     """The value as a message shows it."""
-    with suppress(
-        ValueError, RecursionError
-    ):  # a hexadecimal number of thousands of digits, a dotted key of as many parts
+    with suppress(ValueError, RecursionError):  # a hexadecimal number of thousands of digits, a key of as many parts
         if len(text := repr(value)) <= LONGEST_SHOWN:
             return text
     return "(too long to be shown)"
@@ -215,7 +219,7 @@ def _build(section: _Section, chooser: str, choices: Mapping[str, tuple[Callable
     """The law, profile or coefficient that a section describes: `chooser` names one of `choices`."""
     allowed = ", ".join(map(repr, choices))
     if chooser not in section.values:
-        raise section.error(f"{chooser} is missing; it must be a string, one of {allowed}", "a-key-that-is-missing")
+        raise section.missing(chooser, f"a string, one of {allowed}")
     name = section.take(chooser, _text)
     if name not in choices:
         hint = did_you_mean(name, list(choices))
