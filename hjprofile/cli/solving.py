@@ -170,7 +170,7 @@ def _account(run: Run) -> str:
         f"  kinks       {len(run.kinks_at(0))} at t = {run.time[0]:g}, {len(run.kinks_at(-1))} at the end; {events}",
         f"  budgets     mass {f'to {mass.allowance}' if mass.holds else 'NOT KEPT'}; "
         + (f"volume to {run.volume_budget_error:.2g} ({budget.allowance})" if budget else "none of volume promised"),
-        f"  bounds      {'all hold' if not run.warnings else 'NOT HELD:'}",
+        f"  bounds      {'all hold' if not run.broken_bounds else 'NOT HELD:'}",
         *(f"  WARNING     {warning}" for warning in run.warnings),
     ]
     if run.vertical_steps is not None:

@@ -225,6 +225,7 @@ def load_run(folder: str | Path) -> Run:
                 for row in _read(folder, STEPS_FILE)
             ]
         content = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+        broken = sum(not b["holds"] for b in content["bounds"].values())
         return Run(
             title=content["title"], method=text["method"], case=tomllib.loads(text["case"]), **arrays,  # type: ignore[arg-type]
             status=text["status"], steps=content["steps"], wall_seconds=content["wall_seconds"],
@@ -240,6 +241,7 @@ def load_run(folder: str | Path) -> Run:
             volume_budget_error=_number((content["volume_budget"] or {}).get("difference")),
             error_estimate=content.get("error_estimate"),
             account=content.get("account", ""),
+            cautions=content["warnings"][: len(content["warnings"]) - broken],  # the others belong to broken bounds
         )  # fmt: skip
     except FileNotFoundError as error:
         under = Path("results") / folder

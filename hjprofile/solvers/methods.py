@@ -147,7 +147,9 @@ def solve_case(case: Case, progress: Progress | None = None, strict: bool = Fals
     else:
         run = track_fronts(problem, grid, progress=progress)
     return (
-        replace(run, status=f"went to its end, but {run.warnings[0]}") if strict and run.done and run.warnings else run
+        replace(run, status=f"went to its end, but {run.broken_bounds[0]}")
+        if strict and run.done and run.broken_bounds
+        else run
     )
 
 

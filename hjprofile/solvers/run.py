@@ -178,6 +178,8 @@ class Run:
         error_estimate: of sup|u - exact u| over all saved times, where the method knows one, else None.
         units: the way back to a survey's units, else None.
         account: what was done to the data, and what the method auto chose and why, or "".
+        cautions: a sentence for each reason, other than a broken bound, to doubt the result: data that the grid or the
+            fronts do not resolve, a tolerance that is not met, a product that could not be made.
     """
 
     title: str
@@ -203,6 +205,7 @@ class Run:
     error_estimate: float | None = None
     units: Units | None = None
     account: str = ""
+    cautions: Sequence[str] = ()
 
     @property
     def done(self) -> bool:
@@ -211,6 +214,11 @@ class Run:
 
     @property
     def warnings(self) -> list[str]:
+        """The cautions, then a sentence for each broken bound."""
+        return [*self.cautions, *self.broken_bounds]
+
+    @property
+    def broken_bounds(self) -> list[str]:
         """A sentence for each bound that the method promises and that was broken."""
         return [b.sentence(name) for name, b in self.bounds.items() if not b.holds]
 
