@@ -46,7 +46,7 @@ def check_promises(seed, law, method):
     run = solver(problem, grid, method, cfl=1.0)
     assert run.done, (seed, run.status)
     assert all(np.isfinite(a).all() for a in (run.u, run.q, run.K)) and run.q.min() > -1.0
-    assert run.warnings == [], (seed, law, method, run.warnings)
+    assert run.broken_bounds == [], (seed, law, method, run.broken_bounds)
 
 
 @pytest.fixture

@@ -160,7 +160,8 @@ def test_a_tolerance_that_nothing_meets_is_told(monkeypatch):
     monkeypatch.setattr(select, "solve_characteristics", refuses)
     monkeypatch.setattr(select, "MOST_FRONTS", 400)
     run = hj.solve(hj.Problem(hj.rational(), T2, end=0.5, snapshots=2), 1e-7, hj.Grid(-10.0, 200))
-    assert run.done and run.error_estimate > 1e-7 and "which exceeds it" in run.account
+    assert not run.done and run.error_estimate > 1e-7 and run.time[-1] == 0.5
+    assert "tolerance 1e-07 is not met" in run.status and "tolerance 1e-07 is not met" in run.warnings[0]
 
 
 def test_the_left_end_is_found():

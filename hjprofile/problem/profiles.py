@@ -63,6 +63,9 @@ class Profile:
         """Where q jumps or has a corner: rows (x, q on the left, q on the right), from left to right."""
         return np.empty((0, 3))
 
+    def marks(self) -> Array | None:
+        """Positions between which q varies on no shorter scale than their distance; None where that is not known."""
+
     def q_means(self, grid: Grid, law: ErosionLaw) -> Array:
         """Exact cell means of q, shape (cells,)."""
         return np.diff(self.W(grid.nodes, law)) / grid.dx
@@ -108,6 +111,9 @@ class Kinks(Profile):
 
     def start(self, tail: float = TAIL) -> float:
         return float(self.positions[0])
+
+    def marks(self) -> Array:
+        return self.positions
 
     def check(self, grid: Grid, law: ErosionLaw) -> None:
         within(grid, "positions", self.positions)
@@ -179,6 +185,9 @@ class Bumps(Profile):
                 f"q = {q.min():.6g} at x = {x[np.argmin(q)]:.6g}; q must be above -1 everywhere (u_x = 1 + q > 0)"
             )
 
+    def marks(self) -> Array:
+        return (self.centres[:, None] + self.widths[:, None] * np.linspace(-6.0, 6.0, 25)).ravel()
+
     def check(self, grid: Grid, law: ErosionLaw) -> None:
         self._check_slopes(grid.right)
         super().check(grid, law)
@@ -231,6 +240,9 @@ class Points(Profile):
 
     def start(self, tail: float = TAIL) -> float:
         return float(self.x[0])
+
+    def marks(self) -> Array:
+        return self.x
 
     def check(self, grid: Grid, law: ErosionLaw) -> None:
         if self.table["kind"] == "steps":
@@ -292,6 +304,9 @@ class Steady(Profile):
 
     def start(self, tail: float = TAIL) -> float:
         return -np.inf if self.kink is None else float(self.kink)
+
+    def marks(self) -> Array:
+        return np.empty(0) if self.kink is None else np.array([self.kink])
 
     def breaks(self, law: ErosionLaw) -> Array:
         if self.kink is None:

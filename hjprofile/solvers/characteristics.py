@@ -325,17 +325,19 @@ class _Solver:
 def solve_characteristics(
     problem: Problem,
     grid: Grid | None = None,
-    tolerance: float = TOLERANCE,
+    tolerance: float | None = None,
     progress: Callable[[float], None] | None = None,
     patience: float = np.inf,
 ) -> Run:
-    """Solves by shock-fitted characteristics, to `tolerance` in u, and reads the result on a grid (theory, §5).
+    """Solves by shock-fitted characteristics, with steps and panels to `tolerance`, and reads the result on a grid.
 
-    A second run with a coarser tolerance gives `error_estimate`. The grid is by default 2000 cells over the profile.
-    `patience` is the most work, in seconds but by count, so that every machine gives up at the same point.
+    The method is in theory, §5; the tolerance is 1e-12 by default. A second run with a coarser tolerance gives
+    `error_estimate`, the error of u that comes of it over the whole run. The grid is by default 2000 cells over the
+    profile. `patience` is the most work, in seconds but by count, so that every machine gives up at the same point.
     Where the method cannot go on, `status` says when, where and why, and the last saved time is the last good one.
     Raises InputError for bad input and where a flux enters at the left end, and RunError if the data cannot be cut.
     """
+    asked, tolerance = tolerance, TOLERANCE if tolerance is None else tolerance
     if not FINEST <= tolerance <= COARSEST:
         raise InputError(f"tolerance = {tolerance:g} must lie between {FINEST:g} and {COARSEST:g}")
     if problem.profile.inflow:
@@ -357,7 +359,7 @@ def solve_characteristics(
     rounding = 10.0 * ROUNDING * (1.0 + float(np.abs(W).max()))
     return replace(
         fine,
-        case=resolved_case(problem, grid, "characteristics", tolerance=tolerance),
+        case=resolved_case(problem, grid, "characteristics", tolerance=asked),
         wall_seconds=fine.wall_seconds + coarse.wall_seconds,
         error_estimate=max(2.0 * apart, 10.0 * fine.volume_budget_error) + rounding,
     )

@@ -20,6 +20,7 @@ from hjprofile.problem.case import resolved_case
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Kinks
+from hjprofile.solvers.data_resolution import EXACT, Resolution, compare_data, divided, fine_sample, log_slope
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels import fronts as kernels
 from hjprofile.solvers.kernels.dormand_prince import tableau
@@ -28,10 +29,18 @@ from hjprofile.solvers.kernels.law import LawTable, law_q_f, start_pieces
 from hjprofile.solvers.kernels.steps import StepLaw
 from hjprofile.solvers.kernels.steps import start_pieces as start_steep_pieces
 from hjprofile.solvers.run import Array, Run, VerticalStep
-from hjprofile.solvers.vertical_steps import REACH, StepTracker, Tracker, step_law
+from hjprofile.solvers.vertical_steps import REACH, WEAK, StepTracker, Tracker, step_law
 from hjprofile.solvers.whole_line import also_on_the_whole_line
 
 FOLDS = 5000.0  # e-folds of K that are cut through: the time for a run grows with their square, 20 s for these
+WIDEST = 0.15  # spacing by which steps are measured, in lengths R'(0) over which q decays
+FINEST = 1 / 16  # part of the spacing below which the data do not shorten steps: it would take too long
+# What a piece may hold, so that two numbers of fronts differ wherever the data are not resolved: parts of the range of
+# ln(1 + q) and lengths in R'(0), each with the number of fronts below which they stay as they are
+CHANGE, CHANGE_FRONTS = 0.5, 32
+LENGTH, LENGTH_FRONTS = 0.4, 64
+NEGLIGIBLE = 0.01  # part of that change: where ln(1 + q) is below it, pieces may be longer
+MOST_ADDED = 25_600
 FAN = 0.25  # most that a front of a fan may change ln R: coarser ones, where q changes its sign, run off towards q = -1
 # Fronts in all fans, as a part of the others: a quarter for few fans, as many for so many fans and more. A survey of
 # 60 pieces then costs twice the seconds and has a tenth of the error
@@ -50,7 +59,8 @@ class Fronts:
         x, jump: places and jumps of I, from left to right; x may repeat where a fan opens.
         label: the number of the kink that a front is, or 0.
         smooth: whether the piece right of a front stands for a stretch in which I varies.
-        spacing: distance of the fronts of smooth data.
+        spacing: distance of the fronts of smooth data, and not more than WIDEST.
+        finest: their distance where the data ask for more fronts, and not less than FINEST of the spacing.
         r0: R(0), r on the far left.
         top: W at x = 0.
     """
@@ -60,6 +70,7 @@ class Fronts:
     label: Array
     smooth: Array
     spacing: float
+    finest: float
     r0: float
     top: float
 
@@ -75,11 +86,14 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts,
     breaks = profile.breaks(law)
     start = profile.start(tail=1e-14)
     start = left if not np.isfinite(start) else max(start, left)
-    spacing = -start / fronts
+    spacing = min(-start / fronts, WIDEST * float(law.R_derivative(0.0)))
+    finest, weak = spacing, np.inf
     if isinstance(profile, Kinks):
         cuts = breaks[:, 0]
     else:
-        cuts = _cuts(problem, np.unique([start, *breaks[breaks[:, 0] > start, 0], 0.0]), spacing)
+        marks = np.unique([start, *breaks[breaks[:, 0] > start, 0], 0.0])
+        cuts, shortest, weak = _resolved(problem, _cuts(problem, marks, -start / fronts), fronts)
+        finest = float(np.clip(shortest, FINEST * spacing, spacing))
     ends = np.append(cuts, 0.0)
     W = profile.W(ends, law)
     W -= W[0]
@@ -98,20 +112,20 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts,
     jump = np.diff(np.concatenate([[r0], I]))
     smooth = np.abs(mass) > 1e-15 if not isinstance(profile, Kinks) else np.zeros(h.size, dtype=bool)
 
-    downward = breaks[breaks[:, 1] > breaks[:, 2]]
-    drops = np.log(law.R(downward[:, 1]) / law.R(downward[:, 2]))
+    r_left = np.append(r0, I[:-1]) - W[:-1]
+    fan = _fans(law, breaks, weak, cuts, mean, r_left, r)
+    drops = np.array([drop for _, _, drop in fan.values()])
     share = float(np.clip(len(drops) / MANY_FANS, FEWEST_IN_FANS, 1.0))
     columns: list[Array] = []
     number = 0
     upward = set(breaks[breaks[:, 2] > breaks[:, 1] + 1e-12, 0].tolist())
-    fan = dict(zip(downward[:, 0].tolist(), zip(downward[:, 1], drops, strict=True), strict=True))
     for k, x in enumerate(cuts.tolist()):
         if x in fan:
-            q_left, drop = fan[x]
+            q_left, r_before, drop = fan[x]
             # as strong as the fronts of the smooth parts beside them, and in all no more than so many
             beside = spacing * max(0.1, float(np.min(np.abs(law.f(np.array([q_left, mean[k]]))))))
             n = int(np.ceil(max(4.0, drop / FAN, min(share * fronts * drop / drops.sum(), drop / beside))))
-            level = W[k] + float(law.R(q_left)) * np.exp(-drop * (np.arange(n) + 0.5) / n)
+            level = W[k] + r_before * np.exp(-drop * (np.arange(n) + 0.5) / n)
             before = I[k - 1] if k else r0
             steps = np.diff(np.concatenate([[before], level, [I[k]]]))
             flags = np.append(np.ones(n), smooth[k])
@@ -122,13 +136,32 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts,
         elif columns:
             columns[-1][3, -1] = max(columns[-1][3, -1], smooth[k])
     x, jumps, label, flag = np.concatenate(columns, axis=1) if columns else np.empty((4, 0))
-    return Fronts(x, jumps, label.astype(np.int64), flag.astype(bool), spacing, r0, float(W[-1])), table
+    return Fronts(x, jumps, label.astype(np.int64), flag.astype(bool), spacing, finest, r0, float(W[-1])), table
+
+
+def _fans(
+    law: ErosionLaw, breaks: Array, weak: float, cuts: Array, mean: Array, r_left: Array, r_right: Array
+) -> dict[float, tuple[float, float, float]]:
+    """Where fans open, with q and r on the left and the fall of ln r: at downward jumps, stated ones and others.
+
+    `mean` holds q in the pieces right of the cuts. A fall of ln(1 + q) by more than `weak` from piece to piece is a
+    jump that the profile does not state. One front would carry it as an expansion shock.
+    """
+    downward = breaks[breaks[:, 1] > breaks[:, 2]]
+    before = law.R(downward[:, 1])
+    falls = np.log(before / law.R(downward[:, 2]))
+    fans = dict(zip(downward[:, 0].tolist(), zip(downward[:, 1], before, falls, strict=True), strict=True))
+    unstated = (-np.diff(log_slope(mean), prepend=0.0) > weak) & ~np.isin(cuts, breaks[:, 0]) & (r_left > r_right)
+    for k in np.flatnonzero(unstated).tolist():
+        before_fan = float(mean[k - 1]) if k else 0.0
+        fans[float(cuts[k])] = before_fan, float(r_left[k]), float(np.log(r_left[k] / r_right[k]))
+    return fans
 
 
 def _cuts(problem: Problem, marks: Array, spacing: float) -> Array:
-    """Where pieces begin: at all marks but the last, and in between as often as spacing and K ask for."""
+    """Where pieces begin: at all marks, and in between as often as spacing and K ask for."""
     law = problem.law
-    cuts = _subdivide(marks, np.maximum(np.ceil(np.diff(marks) / spacing - 1e-9).astype(int), 1))
+    cuts = divided(marks, np.maximum(np.ceil(np.diff(marks) / spacing - 1e-9).astype(int), 1))
     # K changes e-fold over a length 1/|f|, which is short where the slope is gentle
     folds = np.diff(cuts) * np.abs(law.f(np.diff(problem.profile.W(cuts, law)) / np.diff(cuts)))
     if not folds.sum() < FOLDS:
@@ -136,16 +169,37 @@ def _cuts(problem: Problem, marks: Array, spacing: float) -> Array:
             f"front tracking cannot start: ln K changes by {folds.sum():.3g} along the slope, as q is too near -1 "
             f"over too long a way, and {FOLDS:g} is the most it can follow; use the method godunov"
         )
-    return _subdivide(cuts, np.maximum(np.ceil(2.0 * folds).astype(int), 1))[:-1]
+    return divided(cuts, np.maximum(np.ceil(2.0 * folds).astype(int), 1))
 
 
-def _subdivide(marks: Array, pieces: Array) -> Array:
-    """`marks` with the stretches between them cut into so many equal pieces."""
-    first = np.repeat(np.cumsum(pieces) - pieces, pieces)
-    length = np.diff(marks) / pieces
-    return np.append(
-        np.repeat(marks[:-1], pieces) + (np.arange(first.size) - first) * np.repeat(length, pieces), marks[-1]
-    )
+def _resolved(problem: Problem, cuts: Array, fronts: int) -> tuple[Array, float, float]:
+    """Where pieces begin once each represents its part of the profile, and the least length of a piece that was added.
+
+    A piece of constant I holds one ln(1 + q), which decays over the length R'(0): a piece that is too long, or in which
+    the ln(1 + q) of the profile changes too much, is divided. The third value is the largest fall of ln(1 + q) from
+    piece to piece that is then to be expected.
+    """
+    part = CHANGE * min(1.0, CHANGE_FRONTS / fronts)
+    longest = LENGTH * min(1.0, LENGTH_FRONTS / fronts) * float(problem.law.R_derivative(0.0))
+    sample = fine_sample(problem, cuts[0], 0.0, cuts, 0.5 * part)
+    v = log_slope(sample.q)
+    weak = part * float(np.ptp(np.append(v, 0.0)))
+    piece = np.clip(np.searchsorted(cuts, sample.x[:-1], side="right") - 1, 0, cuts.size - 2)
+    low, high = np.full(cuts.size - 1, np.inf), np.full(cuts.size - 1, -np.inf)
+    np.minimum.at(low, piece, v)
+    np.maximum.at(high, piece, v)
+    same = piece[1:] == piece[:-1]
+    varied = np.cumsum(np.where(same, np.abs(np.diff(v)), 0.0)) / max(weak, 1e-300)
+    passed = np.diff(np.floor(varied), prepend=0.0) > 0.0
+    steep = same & passed & (high - low > weak)[piece[1:]]
+    parts = np.where(np.maximum(high, -low) > NEGLIGIBLE * weak, np.ceil(np.diff(cuts) / longest), 1.0)
+    added = np.setdiff1d(np.concatenate([divided(cuts, parts.astype(int)), sample.x[1:-1][steep]]), cuts)
+    if not added.size or added.size > MOST_ADDED:
+        return cuts[:-1], np.inf, 2.0 * weak
+    finer = np.union1d(cuts, added)
+    new = np.isin(finer, added)
+    shortest = float(np.min(np.diff(finer)[new[1:] | new[:-1]]))
+    return finer[:-1], shortest, 2.0 * weak
 
 
 def _slope_at(law: ErosionLaw, r: float) -> float:
@@ -192,7 +246,7 @@ class _Tracker(Tracker):
             )  # fmt: skip
         else:
             n, logged = kernels.advance(
-                *arrays, self.n, self.t, end, REACH, self.data.spacing, self.data.r0, self.near, self.table,
+                *arrays, self.n, self.t, end, REACH, self.data.finest, self.data.r0, self.near, self.table,
                 self.strong, self.work, self.head, self.log, self.totals,
             )  # fmt: skip
         self._note(n, logged)
@@ -218,6 +272,12 @@ class _Tracker(Tracker):
         """∫W dx."""
         return kernels.volume(self.x, self.jump, self.n, self.table, self.data.r0, self._sweep()[1])
 
+    def falls(self) -> Array:
+        left, right, _, K = self._sweep()
+        strong = np.flatnonzero(np.log(left / right) > WEAK).tolist()
+        q = [(law_q_f(left[j], self.table)[0], law_q_f(right[j], self.table)[0], K[j]) for j in strong]
+        return np.array(q).reshape(-1, 3).T
+
     def _sides(self) -> Iterator[tuple[int, float, float, float]]:
         left, right, slope, K = self._sweep()
         for j in np.flatnonzero(self.label[: self.n] > 0).tolist():
@@ -226,15 +286,27 @@ class _Tracker(Tracker):
 
 def _begin(
     problem: Problem, left: float, fronts: int, exact: bool | None = None
-) -> tuple[Fronts, _Tracker | StepTracker]:
-    """The problem cut into fronts, and what moves them."""
+) -> tuple[Fronts, _Tracker | StepTracker, Resolution]:
+    """The problem cut into fronts, what moves them, and how well they represent the profile."""
     data, table = cut_into_fronts(problem, left, fronts)
     exact = data.kinks_only if exact is None else exact
     if not isinstance(table, StepLaw):
-        return data, _Tracker(data, table, exact)
+        return data, *_proved(problem, left, data, _Tracker(data, table, exact))
     if exact and not data.kinks_only:
         raise InputError("exact = True of other data than kinks is not available for a law with growth = 'linear'")
-    return data, StepTracker(data.x, data.jump, data.label, data.spacing, exact, table)
+    return data, *_proved(problem, left, data, StepTracker(data.x, data.jump, data.label, data.finest, exact, table))
+
+
+def _proved(
+    problem: Problem, left: float, data: Fronts, tracker: _Tracker | StepTracker
+) -> tuple[_Tracker | StepTracker, Resolution]:
+    """The tracker, and how well what it reads before the first step represents the profile."""
+    if data.kinks_only:  # the fronts are the profile
+        return tracker, EXACT
+    sample = fine_sample(problem, left)
+    W, K = tracker.read(sample.x)
+    with np.errstate(all="ignore"):
+        return tracker, compare_data(problem, sample, W, np.log(K), tracker.falls())
 
 
 @also_on_the_whole_line
@@ -255,14 +327,24 @@ def track_fronts(
     the left end, and RunError if fronts lose the slope before the first saved time. Where q comes so near to -1 later
     that a piece is no longer resolved, `status` says so and the last saved time is the last good one.
     """
+    return track_and_prove(problem, grid or problem.grid(), fronts, progress, exact)[0]
+
+
+def track_and_prove(
+    problem: Problem,
+    grid: Grid,
+    fronts: int,
+    progress: Callable[[float], None] | None = None,
+    exact: bool | None = None,
+) -> tuple[Run, Resolution]:
+    """The run of `track_fronts` on the half line, and how well its fronts represent the profile."""
     if fronts < 4:
         raise InputError(f"fronts = {fronts} must be 4 or more")
     profile = problem.profile
     if profile.inflow:
         raise InputError("front tracking needs q = 0 at the left end; this profile has a flux that enters there")
-    grid = grid or problem.grid()
     problem.check(grid, "fronts")
-    data, tracker = _begin(problem, grid.left, fronts, exact)
+    data, tracker, resolution = _begin(problem, grid.left, fronts, exact)
     height = float(profile.W(grid.nodes[:1], problem.law)[0])
 
     kept, saved, kinks = problem.times, [], []
@@ -291,8 +373,8 @@ def track_fronts(
         if broken is not None:
             status = (
                 f"stopped before t = {target:.6g}: front tracking loses the slope near x = {grid.nodes[broken]:.6g}, "
-                "where q is too near -1 for so few fronts, or K too large to tell events apart; use more fronts, or "
-                "the method godunov"
+                "where q is too near -1 for so few fronts, or K too large to tell events apart; use the method auto "
+                "with a tolerance, or the method godunov"
             )
             break
         watch.observe(float(target), W, tracker.volume(), *tracker.totals[:2])
@@ -306,7 +388,7 @@ def track_fronts(
     if not saved:
         raise RunError(status)
     W, K = (np.array(rows) for rows in zip(*saved, strict=True))
-    return Run(
+    run = Run(
         title=problem.title,
         method="fronts",
         case=resolved_case(problem, grid, "fronts"),
@@ -328,7 +410,9 @@ def track_fronts(
         volume_budget_error=watch.budget_error,
         units=profile.units,
         account=profile.account,
+        cautions=resolution.caution(f"{fronts} fronts", "the method auto with a tolerance"),
     )
+    return run, resolution
 
 
 def heights_at_end(problem: Problem, left: float, x: Array, fronts: int) -> Array:
@@ -336,10 +420,12 @@ def heights_at_end(problem: Problem, left: float, x: Array, fronts: int) -> Arra
 
     As `track_fronts`, without a grid and those who watch. Raises RunError where front tracking loses the slope.
     """
-    _, tracker = _begin(problem, left, fronts)
+    _, tracker, resolution = _begin(problem, left, fronts)
     arrived = tracker.advance(problem.end)
     W, K = tracker.read(x)
     u = x + W + float(problem.profile.W(np.array([left]), problem.law)[0])
+    if not resolution.holds:
+        raise RunError(f"{fronts} fronts do not resolve the profile")
     if not (arrived and np.all(np.isfinite(K)) and np.all(np.diff(u) > 0.0)):
         raise RunError(f"front tracking loses the slope before t = {problem.end:.6g}, as q comes too near to -1")
     return u

@@ -28,7 +28,8 @@ from hjprofile.problem.case import DEFAULT_CFL, DEFAULT_METHOD, Case, resolved_c
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import TAIL
 from hjprofile.solvers import conservation, hj
-from hjprofile.solvers.characteristics import COARSEST, FINEST, TOLERANCE, solve_characteristics
+from hjprofile.solvers.characteristics import COARSEST, FINEST, solve_characteristics
+from hjprofile.solvers.data_resolution import cells_resolve
 from hjprofile.solvers.fronts import track_fronts
 from hjprofile.solvers.high_order import ORDERS
 from hjprofile.solvers.march import Scheme, march
@@ -143,7 +144,11 @@ def solve_case(case: Case, progress: Progress | None = None, strict: bool = Fals
         assert case.tolerance is not None
         run = solve(problem, case.tolerance, grid, progress)
     elif method == "characteristics":
-        run = solve_characteristics(problem, grid, case.tolerance or TOLERANCE, progress)
+        run = solve_characteristics(problem, grid, case.tolerance, progress)
+        if case.tolerance and run.done and not run.meets(case.tolerance):
+            finest = solve_characteristics(problem, grid, FINEST, progress)
+            run = replace(finest, case=run.case) if finest.done else run
+        run = run.judged(case.tolerance) if case.tolerance else run
     else:
         run = track_fronts(problem, grid, progress=progress)
     return (
@@ -230,4 +235,5 @@ def _solve(
         volume_budget_error=bounds.budget_error,
         units=problem.profile.units,
         account=problem.profile.account,
+        cautions=cells_resolve(problem, grid).caution(f"{grid.cells} cells", "more cells, or the method auto"),
     )

@@ -14,6 +14,7 @@ from numpy.polynomial import chebyshev
 
 from hjprofile.errors import RunError
 from hjprofile.problem import Problem
+from hjprofile.solvers.data_resolution import Sample, fine_sample
 from hjprofile.solvers.kernels.labels import Mesh, Rule, after_start, before_end
 from hjprofile.solvers.run import Array
 
@@ -21,6 +22,7 @@ POINTS = 16
 FAN = 0.5  # most that a panel of a fan spans in ln R
 NARROWEST = 1e-7  # panels of the data; a profile that needs narrower ones is not smooth between its corners
 TAIL = 1e-15 * POINTS**2  # rounding of the highest Chebyshev coefficients
+MISSED = 1e-11  # of W between the points of a panel: rounding, and far below what any run asks for
 TAIL_OF_DATA = 2e-14  # R near q = 0 is a polynomial, with rounding of 1e-15
 
 
@@ -203,6 +205,7 @@ def cut_into_panels(problem: Problem, left: float) -> Panels:
     breaks = profile.breaks(law)
     marks = np.unique(np.concatenate([[start], breaks[:, 0], [0.0]]))
     at = dict(zip(breaks[:, 0].tolist(), breaks[:, 1:].tolist(), strict=True))
+    sample = fine_sample(problem, start)
     columns: list[tuple[Array, Array, Array, Array, float, bool]] = []  # r, X, I, dI, half, joined
     first = [0]
     for x, end in zip(marks[:-1].tolist(), marks[1:].tolist(), strict=True):
@@ -213,7 +216,7 @@ def cut_into_panels(problem: Problem, left: float) -> Panels:
             W = float(profile.W(np.array([x]), law)[0] - profile.W(np.array([start]), law)[0])
             columns += _fan(x, W, float(law.R(before)), float(law.R(after)))
         ends = (after if x in at else None, at[end][0] if end in at else None)
-        columns += _smooth(problem, x, end, start, ends)
+        columns += _smooth(problem, x, end, ends, sample)
     first.append(len(columns))
     r, X, I, dI, half, joined = (np.array(a) for a in zip(*columns, strict=True))
     shocks = len(first) - 2
@@ -234,10 +237,13 @@ def _fan(x: float, W: float, r_left: float, r_right: float) -> list:
     return columns
 
 
-def _smooth(problem: Problem, x: float, end: float, start: float, ends: tuple) -> list:
-    """Panels of a piece without corners, halved until their last Chebyshev coefficients are rounding."""
+def _smooth(problem: Problem, x: float, end: float, ends: tuple, sample: Sample) -> list:
+    """Panels of a piece without corners, halved until their last Chebyshev coefficients are rounding.
+
+    A panel also has to give W at all places of the sample: its own points may lie on both sides of what is narrow.
+    """
     law, profile = problem.law, problem.profile
-    W0 = float(profile.W(np.array([start]), law)[0])
+    W0 = float(sample.W[0])
     columns, todo = [], [(x, end)]
     while todo:
         a, b = todo.pop()
@@ -254,7 +260,12 @@ def _smooth(problem: Problem, x: float, end: float, start: float, ends: tuple) -
             q[-1] = ends[1]
         r = law.R(q)
         dI = RULE.D @ (W + r)
-        if not tails(np.array([r, W + r])).max() <= TAIL_OF_DATA:
+        inside = slice(*np.searchsorted(sample.x, [a, b]))
+        missed = interpolation((sample.x[inside] - 0.5 * (a + b)) / half) @ W - (sample.W[inside] - W0)
+        # x is known to its rounding, and r to that times its slope
+        noise = max(TAIL_OF_DATA, 2.0 * np.finfo(float).eps * max(abs(a), abs(b)) * np.abs(RULE.D @ r).max() / half)
+        resolved = tails(np.array([r, W + r])).max() <= noise
+        if not (resolved and np.abs(missed).max(initial=0.0) <= MISSED * (1.0 + np.abs(W).max())):
             if half < NARROWEST:
                 raise RunError(
                     f"the profile is not smooth near x = {a:.6g}, and says of no corner there: characteristics cannot "

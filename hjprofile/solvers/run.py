@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
@@ -244,6 +244,19 @@ class Run:
         arrays = {name: (dims, getattr(self, name), about) for name, (dims, about) in FIELDS.items()}
         coordinates = {name: arrays.pop(name) for name in ("time", "x", "x_cell")}
         return xarray.Dataset(arrays, coordinates, self.attributes)
+
+    def meets(self, tolerance: float) -> bool:
+        """Whether the estimate of the error is known and at most the tolerance."""
+        return self.error_estimate is not None and self.error_estimate <= tolerance
+
+    def judged(self, tolerance: float) -> Run:
+        """The run, not done and with a caution if its estimate of the error exceeds the tolerance, or is missing."""
+        if self.done and self.meets(tolerance):
+            return self
+        known = "is not known" if self.error_estimate is None else f"is about {self.error_estimate:.1g}"
+        caution = f"the tolerance {tolerance:g} is not met: the error of u {known}. Use a larger tolerance."
+        status = f"went to its end, but {caution}" if self.done else self.status
+        return replace(self, status=status, cautions=[*self.cautions, caution])
 
     def kinks_at(self, index: int) -> list[KinkRecord]:
         """The kinks at the saved time `self.time[index]`, from left to right."""

@@ -19,7 +19,8 @@ from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Kinks
 from hjprofile.solvers import closed_forms
 from hjprofile.solvers.characteristics import FINEST, READ, TOO_LONG, solve_characteristics
-from hjprofile.solvers.fronts import track_fronts
+from hjprofile.solvers.data_resolution import Resolution, cells_resolve
+from hjprofile.solvers.fronts import track_and_prove, track_fronts
 from hjprofile.solvers.run import Array, Run
 from hjprofile.solvers.vertical_steps import REACH
 from hjprofile.solvers.whole_line import also_on_the_whole_line
@@ -86,13 +87,12 @@ class _Search:
             raise RunError(
                 f"no method meets the tolerance {self.tolerance:g}: {'; '.join(self.failed)}; use the method godunov"
             )
-        estimate, run = min(((float(r.error_estimate or 0.0), r) for r in self.done), key=lambda pair: pair[0])
-        beyond = "" if estimate <= self.tolerance else ", which exceeds it: nothing that was tried meets it"
-        account = f"{run.account}: error of u about {estimate:.1g} (tolerance {self.tolerance:g}{beyond}), "
+        run = min(self.done, key=lambda run: float(run.error_estimate or 0.0))
+        account = f"{run.account}: error of u about {run.error_estimate:.1g} (tolerance {self.tolerance:g}), "
         account += f"{self.seconds:.2g} s"
         case = resolved_case(self.problem, self.grid, "auto", tolerance=self.tolerance)
         account = "\n".join(filter(None, (self.problem.profile.account, account)))
-        return replace(run, case=case, account=account, wall_seconds=self.seconds)
+        return replace(run, case=case, account=account, wall_seconds=self.seconds).judged(self.tolerance)
 
 
 @also_on_the_whole_line
@@ -190,6 +190,7 @@ class _Ladder:
         self.rows = np.arange(times.size)[:: -max(1, times.size // COARSE_TIMES)][::-1]  # with the last
         self.few = replace(search.problem, snapshots=times[self.rows].tolist())
         self.u: dict[int, Array] = {}  # fronts -> u on the coarse grid
+        self.missed: dict[int, float] = {}  # fronts -> sup|W_d - W| of the data
         self.plain: dict[int, float] = {}  # fronts -> the error by second order, with no allowance
         self.steps = 0.0  # for each front
         self.first = 0  # fronts of the pilot, which is read on all nodes, as it may do
@@ -198,8 +199,19 @@ class _Ladder:
     def _run(self, fronts: int, last: bool = False) -> Run | None:
         """A run of which few nodes and times are read, or, the last one, all."""
         problem, grid = (self.search.problem, self.search.grid) if last else (self.few, self.coarse)
-        run = self.search.attempt(lambda: track_fronts(problem, grid, fronts, self.search.progress), f"{fronts} fronts")
+        proof = Resolution(np.inf, np.inf, np.inf)
+
+        def track() -> Run:
+            nonlocal proof
+            run, proof = track_and_prove(problem, grid, fronts, self.search.progress)
+            return run
+
+        run = self.search.attempt(track, f"{fronts} fronts")
+        if run is not None and not proof.holds:
+            self.search.failed.append(f"{fronts} fronts do not resolve the profile")
+            return None
         if run is not None:
+            self.missed[fronts] = proof.height
             self.u[fronts] = run.u[self.rows if last else slice(None), :: run.cells // self.coarse.cells]
             with np.errstate(all="ignore"):
                 speed = (run.K[:, 1:] * problem.law.derivative(run.q)).max(axis=1)
@@ -218,7 +230,7 @@ class _Ladder:
         n = max(below)
         apart = float(np.abs(self.u[fronts] - self.u[n]).max())
         self.plain[fronts] = apart / ((fronts / n) ** 2 - 1.0)
-        return SAFETY * (1.0 + FEW / fronts) * self.plain[fronts] + ROUNDING
+        return max(SAFETY * (1.0 + FEW / fronts) * self.plain[fronts], self.missed[fronts]) + ROUNDING
 
     def pilot(self) -> float:
         """How many fronts the tolerance takes; inf if the pilot does not get through."""
@@ -289,7 +301,8 @@ def _coarser(problem: Problem, grid: Grid) -> Grid:
                 problem.check(coarse, "auto")
             except InputError:  # the first cell of a Python profile is too wide
                 continue
-            return coarse
+            if cells_resolve(problem, coarse).holds:  # else two runs may differ between all these nodes
+                return coarse
     return grid
 
 
@@ -299,7 +312,12 @@ def _on_grids(search: _Search, method: str, on_grid: Callable[[Problem, Grid, st
     before: Run | None = None
     apart = np.inf
     while cells <= max(MOST_CELLS, 2 * grid.cells):
-        run = search.attempt(lambda n=cells: on_grid(search.problem, replace(grid, cells=n), method), method)  # type: ignore[misc]
+        fine = replace(grid, cells=cells)
+        if not cells_resolve(search.problem, fine).holds:  # they prove nothing, however little two runs differ
+            search.failed.append(f"{cells} cells do not resolve the profile")
+            cells *= 2
+            continue
+        run = search.attempt(lambda g=fine: on_grid(search.problem, g, method), method)  # type: ignore[misc]
         if run is None:
             return False
         every = cells // grid.cells

@@ -1,0 +1,144 @@
+"""Proof that discretised data represent the initial profile, on a sample of the profile that resolves it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hjprofile.problem import Problem
+from hjprofile.problem.grid import Grid
+from hjprofile.problem.profiles import Kinks
+from hjprofile.solvers.run import Array
+
+COARSE, FINE = 512, 8192  # intervals of a sample where the profile states its scales, and where it does not
+PARTS = 4  # of each interval between two marks of a profile
+MOST_PARTS = 64  # of an interval in which the slope changes by more than is asked for
+NEAREST = 1e-11  # least distance of two places, in the size of x: q = ΔW/Δx has an error of 1e-16/1e-11
+SLOPE, FLUX = 0.1, 0.2  # largest error of q, as a part of ‖q‖₁, and of ln K
+FALL = 0.05  # largest error by an expansion shock, as a part of the range of W
+
+
+class Sample(NamedTuple):
+    """A profile at places x, shape (n,), W = u - x there, and the means q between them, shape (n - 1,)."""
+
+    x: Array
+    W: Array
+    q: Array
+
+
+class Resolution(NamedTuple):
+    """Errors of discretised data: sup|W_d - W|, ‖q_d - q‖₁/‖q‖₁ and sup|ln K_d - ln K|, all at t = 0.
+
+    `fall` is the error of W, as a part of its range, that comes from one front which carries a fall of q as a shock.
+    """
+
+    height: float
+    slope: float
+    flux: float
+    fall: float = 0.0
+
+    @property
+    def holds(self) -> bool:
+        """Whether the data represent the profile: they do not where an error is NaN."""
+        return self.slope <= SLOPE and self.flux <= FLUX and self.fall <= FALL
+
+    def caution(self, data: str, remedy: str) -> list[str]:
+        """A sentence on `data` that do not represent the profile; no sentence if they do."""
+        if self.holds:
+            return []
+        carried = f" A steep fall that moves as a shock adds {100.0 * self.fall:.2g} % of the range of u - x."
+        return [
+            f"{data} do not resolve the profile at t = 0: q is wrong by {100.0 * self.slope:.3g} % of its L1 norm "
+            f"(at most {100.0 * SLOPE:g} %) and ln K by {self.flux:.3g} (at most {FLUX:g})."
+            f"{carried if self.fall > FALL else ''} Use {remedy}."
+        ]
+
+
+EXACT = Resolution(0.0, 0.0, 0.0)
+
+
+def fine_sample(
+    problem: Problem, left: float, right: float = 0.0, also: Array | None = None, part: float = np.inf
+) -> Sample:
+    """A Sample of the profile on [left, right], on all its scales and with the places `also`.
+
+    Where ln(1 + q) changes from one interval to the next by more than `part` of its range, both are divided further.
+    A larger change that remains is a jump that the profile does not state.
+    """
+    profile, law = problem.profile, problem.law
+    breaks, stated = profile.breaks(law)[:, 0], profile.marks()
+    even = np.linspace(left, right, (FINE if stated is None else COARSE) + 1)
+    marks = _apart([even, breaks] if stated is None else [even, breaks, stated], left, right)
+    if stated is not None:
+        marks = divided(marks, np.full(marks.size - 1, PARTS))
+    x = marks if also is None else _apart([marks, also], left, right)
+    while True:
+        W = profile.W(x, law)
+        q = np.diff(W) / np.diff(x)
+        if part == np.inf:
+            return Sample(x, W, q)
+        v = log_slope(q)
+        apart = np.abs(np.diff(v))
+        apart[np.isin(x[1:-1], breaks)] = 0.0
+        allowed, part = part * float(np.ptp(np.append(v, 0.0))), np.inf
+        if allowed > 0.0:
+            parts = np.ceil(np.maximum(np.append(apart, 0.0), np.append(0.0, apart)) / allowed)
+            x = _apart([divided(x, np.clip(parts, 1, MOST_PARTS).astype(int))], left, right)
+
+
+def log_slope(q: Array) -> Array:
+    """ln(1 + q), and 0 where that is not finite: `Problem.check` refuses such a profile."""
+    with np.errstate(all="ignore"):
+        v = np.log1p(q)
+    return np.where(np.isfinite(v), v, 0.0)
+
+
+def compare_data(problem: Problem, sample: Sample, W: Array, ln_K: Array, falls: Array | None = None) -> Resolution:
+    """The errors of discretised data with W and ln K at the places of the sample.
+
+    `falls`, shape (3, fronts), holds q⁻ > q⁺ and K of falls that one front carries. In a fan of the width
+    w = K (f'(q⁺) - f'(q⁻)) t, at most the slope's length, such a front is wrong by (q⁻ - q⁺) w/8 in W.
+    """
+    off = W - sample.W
+    off -= off[0]
+    norm = float(np.abs(sample.q) @ np.diff(sample.x))
+    flux = float(np.abs(ln_K - _ln_K(problem, sample.x, sample.q)).max())
+    slope = float(np.abs(np.diff(off)).sum()) / norm if norm else 0.0
+    fall = 0.0
+    if falls is not None and falls.size:
+        before, after, K = falls
+        width = K * (problem.law.derivative(after) - problem.law.derivative(before)) * problem.end
+        wrong = float(np.max((before - after) * np.minimum(width, np.ptp(sample.x)))) / 8.0
+        fall = wrong / float(np.ptp(sample.W))
+    return Resolution(float(np.abs(off).max()), slope, flux, fall)
+
+
+def cells_resolve(problem: Problem, grid: Grid) -> Resolution:
+    """The errors of cell means on a grid, whose W is exact at the nodes."""
+    profile, law = problem.profile, problem.law
+    if isinstance(profile, Kinks) and grid.dx <= SLOPE * float(np.min(law.R_derivative(profile.amplitudes))):
+        return EXACT  # q decays over R'(q), so that a sample, costly under most laws, shows nothing
+    sample = fine_sample(problem, grid.left, grid.right, grid.nodes)
+    W = np.interp(sample.x, grid.nodes, profile.W(grid.nodes, law))
+    return compare_data(problem, sample, W, _ln_K(problem, sample.x, np.diff(W) / np.diff(sample.x)))
+
+
+def _ln_K(problem: Problem, x: Array, q: Array) -> Array:
+    """∫_x^0 f(q) dξ at the places x, of q between them."""
+    with np.errstate(all="ignore"):  # a law that overflows makes the errors NaN, and the data do not hold
+        return np.append(np.cumsum((problem.law.f(q) * np.diff(x))[::-1])[::-1], 0.0)
+
+
+def _apart(places: list[Array], left: float, right: float) -> Array:
+    """All the places on [left, right], increasing, without those that are too near the one before."""
+    x = np.unique(np.clip(np.concatenate(places), left, right))
+    return x[np.append(True, np.diff(x) > NEAREST * (1.0 + abs(left)))]
+
+
+def divided(marks: Array, parts: Array) -> Array:
+    """The marks, with the interval right of each in equal parts, shape (n - 1,)."""
+    first = np.repeat(np.cumsum(parts) - parts, parts)
+    length = np.diff(marks) / parts
+    within = (np.arange(first.size) - first) * np.repeat(length, parts)
+    return np.append(np.repeat(marks[:-1], parts) + within, marks[-1])
