@@ -11,7 +11,7 @@ from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Kinks
 from hjprofile.solvers.run import Array
 
-COARSE, FINE = 512, 8192  # intervals of a sample where the profile states its scales, and where it does not
+COARSE, FINE = 64, 8192  # intervals of a sample where the profile states its scales, and where it does not
 PARTS = 4  # of each interval between two marks of a profile
 MOST_PARTS = 64  # of an interval in which the slope changes by more than is asked for
 NEAREST = 1e-11  # least distance of two places, in the size of x: q = ΔW/Δx has an error of 1e-16/1e-11
@@ -120,7 +120,7 @@ def cells_resolve(problem: Problem, grid: Grid) -> Resolution:
     if isinstance(profile, Kinks) and grid.dx <= SLOPE * float(np.min(law.R_derivative(profile.amplitudes))):
         return EXACT  # q decays over R'(q), so that a sample, costly under most laws, shows nothing
     sample = fine_sample(problem, grid.left, grid.right, grid.nodes)
-    W = np.interp(sample.x, grid.nodes, profile.W(grid.nodes, law))
+    W = np.interp(sample.x, grid.nodes, np.interp(grid.nodes, sample.x, sample.W))  # the sample holds the nodes
     return compare_data(problem, sample, W, _ln_K(problem, sample.x, np.diff(W) / np.diff(sample.x)))
 
 
