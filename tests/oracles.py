@@ -1,6 +1,7 @@
 """Independent solutions that tests compare with; nothing here uses the package's solvers."""
 
 import numpy as np
+import pytest
 from scipy.integrate import cumulative_simpson, solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
@@ -110,6 +111,20 @@ def _follow(positions, J, start, end):
     meet.terminal = leave.terminal = True
     options = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-13, "dense_output": True}
     return solve_ivp(rate, (start, end), positions, events=[meet, leave], **options)
+
+
+def check_kinks(run, exact, tolerance):
+    """Assert that `run` lists the one kink of a closed form: place, q on its sides and speed."""
+    h = 1e-4  # central differences: h² of the third derivative, below 1e-7 of the speed
+    for k in run.kinks:
+        s = exact.path(k.time)
+        (_, left, right), *_ = exact.at(s).breaks(exact.law)
+        assert (k.kink, k.x) == (1, pytest.approx(s, abs=tolerance))
+        assert (k.q_left, k.q_right, k.jump) == pytest.approx((left, right, right - left), abs=100.0 * tolerance)
+        if h < k.time < exact.exit_time - h:
+            speed = (exact.path(k.time + h) - exact.path(k.time - h)) / (2.0 * h)
+            assert (k.speed, k.rankine_hugoniot_speed) == pytest.approx((speed, speed), rel=1e-6)
+    assert [k.time for k in run.kinks] == [t for t in run.time if t < exact.exit_time]
 
 
 def muscl_hancock(q, law, dx, dt, floor_share, k=None):

@@ -4,12 +4,15 @@ import numpy as np
 import pytest
 
 import hjprofile as hj
-from hjprofile.monitors.bounds import BoundsMonitor
+from hjprofile.monitors.bounds import MONOTONE, BoundsMonitor
 from hjprofile.problem.profiles import steps
 from hjprofile.solvers import hj as hj_form
 from hjprofile.solvers.kernels import watch
+from hjprofile.solvers.kernels.erosion import Rational
 from hjprofile.solvers.kernels.watch import frozen_step
+from hjprofile.solvers.kernels.wavefront import Godunov
 from hjprofile.solvers.methods import HJ_METHODS, PROMISES
+from hjprofile.solvers.run import State
 
 LAWS = {"rational": hj.rational(), "log": hj.log(), "power": hj.power(2.0)}
 FIRST_ORDER_METHODS = [name for name in PROMISES if name.removeprefix("conservative-") in hj_form.FLUXES]
@@ -157,3 +160,24 @@ def test_what_a_method_does_not_promise_is_not_watched():
     assert everything - local == {"flux_maximum", "flux_variation", "kruzkov"}
     inflow = hj.Problem(hj.rational(), hj.steady(0.4), end=0.5)
     assert set(hj.solve_hj(inflow, hj.Grid(-3.0, 100)).bounds) == {"mass_budget", "volume_budget", "minimum_principle"}
+
+
+def test_a_frozen_step_allows_for_K_of_the_next_node():
+    """K rises from 1 to 4 where q = -1/2 arrives: K f' = 4 at its node, 16 at the next.
+
+    After a step of dx/4, F at the next node would be 4 f(-1/4) = -4/3, beyond sup|F| = 1. After dx/16 it is -4/15.
+    """
+    grid, cell = hj.Grid(-1.0, 20), np.arange(20)
+    q, K = np.where(cell == 10, -0.5, 0.0), np.append(1.0, np.where(cell <= 10, 1.0, 4.0))
+    W = np.append(0.0, np.cumsum(q) * grid.dx)
+    monitor = BoundsMonitor(
+        hj.rational(), grid, W, 0.0, 1.0, MONOTONE, flux=Godunov, coefficient=hj.coefficient("1 - x")
+    )
+    monitor.observe(
+        State(
+            t=0.1, steps=BoundsMonitor.FROZEN_STEPS, first=0, q=q, law=Rational(), speed=4.0, bound=4.0,
+            dt=grid.dx / 4.0, growth=0.0, outflow=0.0, volume=lambda: 0.0, K=K,
+        )
+    )  # fmt: skip
+    assert monitor.bounds["flux_maximum"].worst_margin == 1.0
+    assert all(bound.holds for bound in monitor.bounds.values())

@@ -12,6 +12,7 @@ import tomli_w
 
 import hjprofile as hj
 from hjprofile.evidence import calibration
+from hjprofile.evidence.calibration import _undetermined
 from hjprofile.solvers.closed_forms import closed_form
 
 BEFORE = """x,height
@@ -338,3 +339,18 @@ def test_a_fit_that_does_not_converge(slope, coarse, call, tmp_path, monkeypatch
     code, text, error = call("fit", path, after, "--vary", "time.end", "--vary", "profile.length", "--out", tmp_path)
     assert (code, text) == (1, "") and "does not converge in 2 steps; it has come to time.end = " in error
     assert not (tmp_path / "fit.json").exists()
+
+
+def test_the_parameter_that_can_stand_in_for_another_is_named():
+    """The largest correlation in size with any other, if it is above 0.9; the order of the names does not matter."""
+    for place in range(4):
+        names, correlation = ["a", "b", "c", "d"], np.eye(4)
+        for other in {0, 1, 2, 3} - {place}:
+            correlation[place, other] = correlation[other, place] = 0.1 * other
+        partner = (place + 1) % 4
+        correlation[place, partner] = correlation[partner, place] = -0.95
+        sentence = _undetermined(place, names, correlation)
+        assert sentence.startswith(f"{names[place]} is not determined")
+        assert f"; {names[partner]} can stand in for it (correlation -0.950)" in sentence
+        correlation[place, partner] = correlation[partner, place] = 0.89
+        assert "can stand in" not in _undetermined(place, names, correlation)

@@ -6,11 +6,14 @@ import warnings
 import numpy as np
 import oracles
 import pytest
+from numpy.polynomial import Polynomial
 from random_profiles import random_bumps, random_pieces
 
 import hjprofile as hj
 from hjprofile.solvers.characteristics import Lost, _Solver
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink
+from hjprofile.solvers.invariant import law_table
+from hjprofile.solvers.kernels import labels
 from hjprofile.solvers.panels import RULE, cut_into_panels, interpolation, tails
 
 LAWS = {"rational": hj.rational(), "log": hj.log(), "power": hj.power(3.0)}
@@ -29,7 +32,7 @@ def test_one_kink(law):
     for i, t in enumerate(run.time):
         assert np.abs(run.u[i] - exact.u(t, run.x)).max() <= most
         assert np.abs(run.K[i] - exact.K(t, run.x)).max() <= 10 * most
-        assert [k.x for k in run.kinks_at(i)] == pytest.approx([exact.kink(t)] if t < exact.exit_time else [], abs=most)
+    oracles.check_kinks(run, exact, most)
     (leaving,) = run.events
     assert leaving.event == "exit" and abs(leaving.time - exact.exit_time) <= most
     assert run.done and all(b.holds for b in run.bounds.values())
@@ -240,3 +243,50 @@ def test_a_factor_beyond_all_numbers_is_told_of_without_a_warning():
         warnings.simplefilter("error")
         run = hj.solve_characteristics(problem, hj.Grid(-2001.0, 2001))
     assert run.status.startswith("stopped at t = 0, before")
+
+
+def on_labels(X_left, q_left, X_right, q_right):
+    """r, X and the mesh of polynomials X and q on labels -2..0 and 0..2, W = 0 between; q = 0 on the left if None."""
+    sides = [(-1.0, X_left, q_left), (1.0, X_right, q_right)] if X_left else [(1.0, X_right, q_right)]
+    xi = [middle + RULE.s for middle, _, _ in sides]
+    I = [(q * X.deriv()).integ() + 1.0 + q for _, X, q in sides]
+
+    def sampled(fields):
+        return np.array([f(at) for f, at in zip(fields, xi, strict=True)])
+
+    mesh = labels.Mesh(
+        sampled(I), sampled([f.deriv() for f in I]), np.ones(len(sides)), np.zeros(len(sides), dtype=bool),
+        np.array([0, 1, 2] if X_left else [0, 0, 1]),
+    )  # fmt: skip
+    r, X = sampled([1.0 + q for _, _, q in sides]), sampled([X for _, X, _ in sides])
+    return r, X, mesh, RULE, law_table(hj.rational(), -0.5, 5.0), np.empty(RULE.s.size)
+
+
+ROOT = np.sqrt(0.5)
+CUBIC, RISING = Polynomial([0.0, -0.5, 0.0, 1.0]), Polynomial([1.0, 0.5])  # X odd, W - X even: the labels are ±√0.5
+LINE, LOW, HIGH = Polynomial([0.0, 1.0]), Polynomial([0.5]), Polynomial([2.0])
+
+
+@pytest.mark.parametrize(
+    ("sides", "start", "exact"),
+    [
+        ((CUBIC, RISING, CUBIC, RISING), [1e-16, 1e-16], [ROOT, ROOT]),
+        ((CUBIC, RISING, CUBIC, RISING), [0.3, 0.3], [ROOT, ROOT]),
+        ((CUBIC, RISING, CUBIC, RISING), [1.9, 1.9], [ROOT, ROOT]),
+        # X falls from 0 on one side alone, to 0 again at a distance of 1.2
+        ((Polynomial([0.0, -1.2, -1.0]), LOW, LINE, HIGH), [1e-16, 0.0], [1.2, 0.0]),
+        ((LINE, LOW, Polynomial([0.0, -1.2, 1.0]), HIGH), [0.0, 1e-16], [0.0, 1.2]),
+        ((None, None, Polynomial([0.0, -1.2, 1.0]), HIGH), [0.0, 1e-16], [0.0, 1.2]),
+    ],
+)
+def test_labels_of_a_shock_are_those_at_which_X_rises(sides, start, exact):
+    """X and W are the same on both sides of the joint too, but X falls with the label there: this is no shock."""
+    off = np.array([start])
+    assert labels.shock_labels(0, off, *on_labels(*sides))
+    assert off[0] == pytest.approx(exact, abs=1e-13)
+
+
+def test_labels_of_a_newborn_shock_are_at_the_joint():
+    """At its birth X has a level tangent, and there is no fold between which labels could be found."""
+    off, cube = np.zeros((1, 2)), Polynomial([0.0, 0.0, 0.0, 1.0])
+    assert labels.shock_labels(0, off, *on_labels(cube, RISING, cube, RISING)) and not off.any()

@@ -105,3 +105,10 @@ def test_what_follows_the_invariant_refuses(method, tmp_path):
     content["coefficient"] = {"kind": "expression", "expression": "1 - x"}
     with pytest.raises(hj.InputError, match=rf"a.toml: .*{method} follows the invariant I, which a given coefficient"):
         check_method(parse_case(content, "a", "a.toml", tmp_path))
+
+
+def test_a_run_that_stops_is_no_reference():
+    """Along a slope with q = -0.99 K spans more than the range of numbers: the second-order scheme stops at once."""
+    problem = hj.Problem(hj.power(3.0), hj.steps([-1.0, -0.5], [-0.99]), end=1.0)
+    with pytest.raises(hj.RunError, match="conservative with refresh = None: stopped at t = "):
+        fractional_steps(problem, hj.Grid(-3.0, 100), "conservative", [1.0])

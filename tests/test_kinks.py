@@ -184,3 +184,17 @@ def test_the_history_of_a_rough_slope_is_one_that_can_be(method):
         )
     assert told >= 15
     assert true >= 0.75 * told
+
+
+def test_kinks_are_found_from_the_cells_of_the_grid_alone():
+    """In an array that is part of a longer one, the cells beyond its ends have no effect; rises at both ends."""
+    rng, found = np.random.default_rng(0), 0
+    for _ in range(200):
+        q = np.cumsum(rng.choice([0.0, 0.001, 0.3, 1.0], 12, p=[0.5, 0.2, 0.2, 0.1]))
+        alone = find_kinks(q.copy(), -1.0, 0.05, Rational())
+        for outside in (1e6, -0.9):
+            long = np.full(60, outside)
+            long[24:36] = q
+            assert np.array_equal(find_kinks(long[24:36], -1.0, 0.05, Rational()), alone)
+        found += len(alone)
+    assert found > 200

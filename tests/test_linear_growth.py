@@ -6,6 +6,7 @@ two kinks, and on a grid of u with isotonic regression for any profile.
 
 from dataclasses import replace
 from functools import lru_cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,12 +15,14 @@ from hypothesis import strategies as st
 from oracles import SteepPair, bump_blow_up, isotonic_profile, longest_step
 
 import hjprofile as hj
-from hjprofile.monitors.vertical_steps import find_steps
+from hjprofile.monitors.vertical_steps import KINDS, Layer, StepMonitor, find_steps
 from hjprofile.problem import CARRY_STEPS
 from hjprofile.problem.case import parse_case
 from hjprofile.solvers import conservation
 from hjprofile.solvers import hj as hj_form
+from hjprofile.solvers.grid_law import grid_law
 from hjprofile.solvers.kernels import steps as kernels
+from hjprofile.solvers.kernels import telescoping
 from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.vertical_steps import step_law
 
@@ -328,8 +331,75 @@ def test_a_step_is_read_off_its_cell_means():
         (step,) = run.steps_at(i)
         # its cell is known and not the place in it, by half of which W on the steep right differs
         assert layer.x == pytest.approx(step.x, abs=0.004) and layer.height == pytest.approx(step.height, abs=0.02)
+        assert layer.speed == pytest.approx(step.speed, rel=0.015)  # measured 7e-3; K is read half a cell off
     for i in range(3):
         assert find_steps(run.q[i], -4.0, 0.004, LAW.f(run.q[i]), table) == []
+
+
+def linked(*paths):
+    """Numbers of the steps in the last of ten frames, and the events; a path maps a frame to (x, speed) or None."""
+    grid = hj.Grid(-10.0, 1000)
+    monitor = StepMonitor(step_law(LAW), grid, np.empty(0), LAW.f)
+    for n in range(10):
+        seen = sorted(path(n) for path in paths if path(n))
+        monitor.latest = 0.01 * n, [Layer(x, 1.0, speed, x - 0.02, x + 0.02) for x, speed in seen]
+        monitor.observe(SimpleNamespace(t=0.01 * n))
+    events = [(round(t, 9), KINDS[int(kind)], n, into) for t, kind, n, into, _ in monitor.log.tolist() if t > 0.0]
+    return monitor.living[:, 0].tolist(), events
+
+
+def moving(start, speed, frames=range(10)):
+    """A step that is seen in `frames`."""
+    return lambda n: (start + 0.01 * speed * n, speed) if n in frames else None
+
+
+def test_steps_keep_their_numbers():
+    """Frames 0.01 apart on cells of 0.01: a step of speed 1 is looked for within 8.5 cells, a merge 4 cells further."""
+    slow, fast = moving(-2.95, 1.0), moving(-3.0, 2.0)
+    assert linked(moving(-3.0, 1.0), slow) == ([1, 2], [])
+    # a step that appears within reach of another is a new one
+    assert [e[:3] for e in linked(moving(-3.0, 1.0), moving(-2.95, 1.0, range(6, 10)))[1]] == [(0.06, "blow-up", 2)]
+    # if one of two is lost within reach of the other, the lower number lives on
+    assert linked(fast, moving(-2.95, 1.0, range(5))) == ([1], [(0.05, "merge", 2, 1)])
+    assert linked(moving(-3.0, 2.0, range(5)), slow) == ([1], [(0.05, "merge", 2, 1)])
+
+
+def test_a_step_that_is_lost_alone_has_neither_merged_nor_left():
+    lost = moving(-3.0, 2.0, range(5))
+    assert linked(lost, moving(-1.95, 1.0)) == ([2], [])
+    # another that appears at that moment far away, or just beyond its reach, is another step
+    for start in (-1.95, -2.84):
+        numbers, events = linked(lost, moving(start, 1.0, range(5, 10)))
+        assert numbers == [2] and [e[:3] for e in events] == [(0.05, "blow-up", 2)]
+    # near the crest it has left at the time that its speed gives
+    ((t, kind, number, _),) = linked(moving(-0.1, 2.0, range(5)))[1]
+    assert (kind, number) == ("exit", 1) and t == pytest.approx(0.05, abs=1e-12)
+
+
+@pytest.mark.parametrize("inflow", [0.0, 0.3])
+def test_rates_of_the_second_order_scheme(inflow):
+    """Against whole arrays, without layers of steps: each of a few cells is the fastest, the first and the last too."""
+    rng, dx, fastest = np.random.default_rng(0), 0.02, set()
+    for _ in range(40):
+        n = int(rng.integers(2, 6))
+        q = rng.uniform(-0.9, 3.0, n)
+        f, df = LAW.f(q), LAW.derivative(q)
+        K = np.exp(dx * np.append(np.cumsum(f[::-1])[::-1], 0.0))
+        pairs = np.maximum(f[:-1], 0.0), np.maximum(f[1:], 0.0)
+        limited = 2.0 * pairs[0] * pairs[1] / np.maximum(pairs[0] + pairs[1], 1e-300)
+        middle = K[:-1] * np.exp(-0.5 * dx * np.append(f[0] if inflow else 0.0, limited))
+        F = np.append(inflow, -np.diff(np.append(middle, 2.0 - middle[-1])) / dx)
+        chord = np.where(q > 1e-9, np.expm1(f * dx) / (q * dx), 0.0)
+        speed = np.maximum(K[1:] * np.maximum(df * np.exp(np.maximum(f * dx, 0.0)), chord), K[:-1] * df)
+        fastest.add((int(np.argmax(speed)), n))
+        found = np.empty((3, n))
+        law = grid_law(LAW, q).kernel
+        met, K_left, top = telescoping.rates(q, law, dx, inflow, LAW.eta0, np.inf, *found)
+        # tables give f to 1e-10 of its size, and f' to 1e-6
+        assert met == pytest.approx(speed.max(), rel=1e-6)
+        assert (K_left, top) == pytest.approx((middle[0] + 0.5 * dx * inflow, F[-1]), rel=1e-8, abs=1e-9)
+        assert found[2] == pytest.approx(-np.diff(F) / dx, rel=1e-7, abs=1e-7)
+    assert {(0, 3), (2, 3)} <= fastest
 
 
 @pytest.mark.parametrize("method", [m for m in METHODS if m not in CARRY_STEPS])

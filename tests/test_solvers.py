@@ -229,6 +229,16 @@ def test_breakdown_is_told_and_what_was_good_is_kept(method):
     assert run.eroded_volume == pytest.approx(np.trapezoid(lowered, run.x), abs=ends + 1e-12)
 
 
+@pytest.mark.parametrize("method", ["godunov", "conservative", "eno2"])
+def test_a_run_that_stops_after_its_saved_times_adds_its_last_good_state(method):
+    problem = hj.Problem(hj.rational(), hj.steps([-3.0, -2.0, -1.0], [-0.8, 2.0]), end=2.0, snapshots=[0.0])
+    run, grid = solve(problem, hj.Grid(-4.0, 200), method, cfl=6.0), hj.Grid(-4.0, 200)
+    assert not run.done and run.time.size == 2 and 0.0 < run.time[1] < 2.0
+    assert run.u.shape == run.K.shape == (2, 201) and run.q.shape == (2, 200)
+    assert np.abs(np.diff(run.u) / grid.dx - 1.0 - run.q).max() <= 1e-11  # rounding of u over dx
+    assert run.K[1, 0] != run.K[0, 0] and run.K[1, -1] == 1.0
+
+
 def test_telescoping_flux_keeps_the_volume_budget_to_rounding():
     """§6g: the volume that is eroded is what arrives at the foot beyond what was poured in."""
     problem = hj.Problem(hj.power(3.0), hj.bumps([1.5, -0.6], [-3.0, -1.5], [0.4, 0.3]), end=1.0, snapshots=5)

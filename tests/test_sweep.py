@@ -120,6 +120,21 @@ def test_the_steady_slope_over_flux_and_end(in_tmp):
         assert 0.9 <= hj.observed_order(cells, errors) <= 1.1, name  # a monotone scheme on smooth data
         assert errors[-1] <= most, name
     assert result.quantity("kinks_at_end").max() == 0
+    assert result.quantity("largest_rise").max() == 0
+    # the left end, where the flux a enters, sinks by a t to rounding, and nothing sinks further
+    assert np.abs(result.quantity("largest_lowering") - sunk[..., None]).max() <= 1e-14
+
+
+def test_the_largest_rise_of_a_slope_with_deposition(scene):
+    vary = {"profile.values": [[-0.5, 0.4], [0.4, -0.5]]}
+    found = hj.sweep(scene, vary)
+    for value, rise, lowering in zip(
+        vary["profile.values"], found.quantity("largest_rise"), found.quantity("largest_lowering"), strict=True
+    ):
+        run = solve_case(hj.load_case(scene, {"profile.values": value}))
+        change = run.u[-1] - run.u[0]
+        assert change.max() > 0.1 and change.min() < -0.01
+        assert (rise, lowering) == pytest.approx((change.max(), -change.min()), abs=1e-14)  # rounding of u
 
 
 @pytest.mark.parametrize("name", hj.shipped_cases())

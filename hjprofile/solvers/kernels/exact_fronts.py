@@ -81,6 +81,17 @@ def first_crossing(y, new, rates, dt, n):
 
 
 @compiled
+def narrowed(low, g_low, high, g_high, side, theta, gap):
+    """Replace the end of a bracket on whose side `gap`, the value at theta, lies; `side` is the end replaced last.
+
+    The value at the other end is halved where that end stays for a second time (Illinois' rule).
+    """
+    if gap > 0.0:
+        return theta, gap, high, 0.5 * g_high if side == 1 else g_high, 1
+    return low, 0.5 * g_low if side == -1 else g_low, theta, gap, -1
+
+
+@compiled
 def first_event(y, rates, dt, jump, n, r0, law, tableau, work, new):
     """From `new`, a step beyond an event, back to the first one: how long a step that takes, and which pair has met.
 
@@ -95,16 +106,7 @@ def first_event(y, rates, dt, jump, n, r0, law, tableau, work, new):
         gap, met = least_gap(new, y, n)
         if abs(gap) <= 2e-15 * max(1.0, abs(new[met])) or high - low <= 2e-16:
             break
-        if gap > 0.0:
-            low, g_low = theta, gap
-            if side == 1:
-                g_high *= 0.5
-            side = 1
-        else:
-            high, g_high = theta, gap
-            if side == -1:
-                g_low *= 0.5
-            side = -1
+        low, g_low, high, g_high, side = narrowed(low, g_low, high, g_high, side, theta, gap)
         theta = low + (high - low) * g_low / (g_low - g_high)
     if met == n - 1:
         new[n - 1] = 0.0

@@ -132,13 +132,13 @@ def _locate(q, dx, a, b):
     left_end, right_end = a - GAP, b + GAP  # the cells nearest to the rise that the lines are fitted to
     left_start, right_stop = left_end - FIT + 1, right_end + FIT - 1
     # never fit across a neighbouring rise or the end of the grid
-    while left_start < max(left_end, 0) and (left_start < 0 or q[left_start + 1] - q[left_start] > STEEP):
+    while left_start < left_end and (left_start < 0 or q[left_start + 1] - q[left_start] > STEEP):
         left_start += 1
-    while right_stop > min(right_end, n - 1) and (right_stop >= n or q[right_stop] - q[right_stop - 1] > STEEP):
+    while right_stop > right_end and (right_stop >= n or q[right_stop] - q[right_stop - 1] > STEEP):
         right_stop -= 1
     left_end, right_end = max(left_end, 0), min(right_end, n - 1)
-    ql, sl = _line(q, min(max(left_start, 0), left_end), left_end, middle)
-    qr, sr = _line(q, right_end, max(min(right_stop, n - 1), right_end), middle)
+    ql, sl = _line(q, max(left_start, 0), left_end, middle)
+    qr, sr = _line(q, right_end, min(right_stop, n - 1), middle)
     if left_end > a:
         ql, sl = q[a], 0.0
     if right_end < b:

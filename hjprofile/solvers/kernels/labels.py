@@ -253,14 +253,15 @@ def bracket_labels(k, off, r, X, mesh, rule, w):
 
 @compiled
 def shock_labels(k, off, r, X, mesh, rule, law, w):
-    """Fills the labels of shock k, by Newton's method or between folds; returns whether found, X rising at both."""
-    for attempt in range(2):
-        if attempt == 1 and not bracket_labels(k, off, r, X, mesh, rule, w):
-            return False
-        if newton_labels(k, off, r, X, mesh, rule, law, w):
-            rising = beside(1.0, k, off[k, 1], r, X, mesh, rule, w)[3] > 0.0
-            if mesh.first[k] < mesh.first[k + 1]:
-                rising = rising and beside(-1.0, k, off[k, 0], r, X, mesh, rule, w)[3] > 0.0
-            if rising or attempt == 1 or max(off[k, 0], off[k, 1]) == 0.0:
-                return True
-    return False
+    """Fill the labels of shock k by Newton's method, or between the folds; return whether they are found.
+
+    X rises with the label at both, unless the shock is newborn and both labels are at the joint.
+    """
+    if newton_labels(k, off, r, X, mesh, rule, law, w):
+        if max(off[k, 0], off[k, 1]) == 0.0:
+            return True
+        empty = mesh.first[k] == mesh.first[k + 1]
+        rising = empty or beside(-1.0, k, off[k, 0], r, X, mesh, rule, w)[3] > 0.0
+        if rising and beside(1.0, k, off[k, 1], r, X, mesh, rule, w)[3] > 0.0:
+            return True
+    return bracket_labels(k, off, r, X, mesh, rule, w) and newton_labels(k, off, r, X, mesh, rule, law, w)
