@@ -10,10 +10,12 @@ from numpy.polynomial import Polynomial
 from random_profiles import random_bumps, random_pieces
 
 import hjprofile as hj
+from hjprofile.solvers import characteristics
 from hjprofile.solvers.characteristics import Lost, _Solver
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels import labels
+from hjprofile.solvers.label_events import parted
 from hjprofile.solvers.panels import RULE, cut_into_panels, interpolation, tails
 
 LAWS = {"rational": hj.rational(), "log": hj.log(), "power": hj.power(3.0)}
@@ -290,3 +292,34 @@ def test_labels_of_a_newborn_shock_are_at_the_joint():
     """At its birth X has a level tangent, and there is no fold between which labels could be found."""
     off, cube = np.zeros((1, 2)), Polynomial([0.0, 0.0, 0.0, 1.0])
     assert labels.shock_labels(0, off, *on_labels(cube, RISING, cube, RISING)) and not off.any()
+
+
+@pytest.mark.parametrize(
+    "profile",
+    [hj.bumps([0.8], [-3.0], [0.5]), hj.points([-4.0, -3.0, -2.0, -1.0], [0.0, 0.5, 0.8, 0.0])],
+    ids=["smooth", "corner"],
+)
+def test_the_labels_of_a_young_shock_part_as_their_asymptotics(profile, monkeypatch):
+    """Each like coefficient * τ^power: both like τ^(1/2) at a smooth fold, like τ² and τ at a corner of q."""
+    problem, born = hj.Problem(hj.rational(), profile, end=2.0), []
+
+    def noted(panels, cut, t, tau, sides, number):
+        born.append((t, sides))
+        return parted(panels, cut, t, tau, sides, number)
+
+    def solver():
+        panels = cut_into_panels(problem, -11.0)
+        return _Solver(problem, panels, characteristics._table(problem, panels), 1e-12, np.inf)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(characteristics, "parted", noted)
+        first = solver()
+        while not born:
+            first.advance(first.now.t + 0.002)
+    ((t, sides),) = born
+    assert [power for _, power in sides] == ([0.5, 0.5] if profile.breaks(hj.rational()).size == 0 else [2.0, 1.0])
+    later, tau = solver(), 1e-4
+    later.advance(t + tau)
+    (found,) = later.now.panels.off
+    # the next term is smaller by sqrt(τ) or τ; measured 9e-4
+    assert found == pytest.approx([coefficient * tau**power for coefficient, power in sides], rel=2e-3)

@@ -139,6 +139,16 @@ def test_kinks_that_did_not_touch_have_not_merged():
     assert {p.end and p.end.event for p in (first, second)} == {None, "merge"}
 
 
+def test_two_kinks_that_are_seen_too_far_back_keep_their_order():
+    """From the 20th state on both are seen so far back that both are nearest to where the second is seen."""
+    frames = []
+    for n in range(30):
+        back = (0.02, 0.015) if n >= 20 else (0.0, 0.0)
+        frames.append((0.01 * n, [sighting(-2.0 + 0.01 * n - back[0]), sighting(-1.97 + 0.01 * n - back[1])]))
+    first, second = link(frames, 0.01, lambda s: 1.0)
+    assert first.end is None and second.end is None and len(first.times) == len(second.times) == 30
+
+
 def rough_surveys():
     """Slopes as surveys have them: forty points, most of them kinks, of which many are weak."""
     rng = np.random.default_rng(5)

@@ -133,7 +133,7 @@ def test_a_smooth_slope_breaks_when_characteristics_say_so():
     assert exact == pytest.approx(BREAKS, abs=1e-9) and stretch > 0.0
     run = hj.track_fronts(hj.Problem(LAW, BUMP, end=BREAKS + 0.02, snapshots=2), hj.Grid(-4.0, 400), 1600)
     # a kink at the foot comes first, and the step soon overtakes it
-    assert [(e.event, e.kink) for e in run.events] == [("birth", 1), ("blow-up", 2), ("merge", 2)]
+    assert [e[1:4] for e in run.events] == [("birth", 1, None), ("blow-up", 2, None), ("merge", 2, 1)]
     assert run.events[1].time == pytest.approx(exact, abs=1e-6)
     assert run.events[0].time == pytest.approx(FOLDS, abs=1e-3)  # measured 4e-4; dated by the first two that meet
 
