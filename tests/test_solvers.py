@@ -13,6 +13,7 @@ from hjprofile.solvers import hj as hj_form
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink
 from hjprofile.solvers.grid_law import grid_law
 from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS
+from hjprofile.solvers.run import Breakdown
 
 # A dozen and more neighbouring grids: the error jitters with the place of the kink inside its cell.
 METHODS = (*HJ_METHODS, *CONSERVATIVE_METHODS)
@@ -269,3 +270,20 @@ def test_closed_forms_agree_with_each_other():
         assert math.isclose(a.path(t), b.path(t), rel_tol=1e-11)
         assert np.abs(a.u(t, x) - b.u(t, x)).max() <= 1e-11  # of order 1; the quadratures ask for 1e-13
     assert np.array_equal(a.u(a.exit_time + 1.0, x), x)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_slope_below_minus_one_is_no_state(method):
+    """At q = -1.5 the formulas of the law are finite, and f' is positive: the check of q alone tells."""
+    grid, form = hj.Grid(-3.0, 60), hj_form if method in HJ_METHODS else conservation
+    scheme = form.scheme(hj.Problem(hj.rational(), hj.steps([-2.0, -1.0], [0.5]), end=1.0), grid, method)
+    scheme.evaluate()
+    kept = next(name for name in ("state", "W", "q") if name in scheme.memory)
+    part = getattr(scheme, kept)
+    if part.size == grid.cells:
+        part[30] = -1.5
+    else:
+        part[31:] -= (part[31] - part[30]) + 1.5 * grid.dx
+    with pytest.raises(Breakdown) as caught:
+        scheme.evaluate()
+    assert caught.value.cell == 30 and caught.value.q == pytest.approx(-1.5, abs=1e-12)
