@@ -323,3 +323,11 @@ def test_the_labels_of_a_young_shock_part_as_their_asymptotics(profile, monkeypa
     (found,) = later.now.panels.off
     # the next term is smaller by sqrt(τ) or τ; measured 9e-4
     assert found == pytest.approx([coefficient * tau**power for coefficient, power in sides], rel=2e-3)
+
+
+def test_a_hollow_between_two_cells_may_come_to_lie_in_one():
+    """The mean of a cell then falls from -0.22 to -0.36, and the minimum principle holds: inf q of the data is -0.5."""
+    problem = hj.Problem(hj.rational(), hj.bumps([-0.5], [-3.0], [0.05]), end=0.3, snapshots=21)
+    run = hj.solve_characteristics(problem, hj.Grid(-5.0, 50))
+    assert run.q[0].min() > -0.25 and -0.5 < run.q.min() < -0.35
+    assert run.bounds["minimum_principle"].worst_margin == 1.0

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from oracles import SteepPair, bump_blow_up, isotonic_profile, longest_step
 
 import hjprofile as hj
-from hjprofile.monitors.vertical_steps import KINDS, Layer, StepMonitor, find_steps
+from hjprofile.monitors.vertical_steps import KINDS, Layer, StepMonitor, _fit, find_steps
 from hjprofile.problem import CARRY_STEPS
 from hjprofile.problem.case import parse_case
 from hjprofile.solvers import conservation
@@ -334,6 +334,21 @@ def test_a_step_is_read_off_its_cell_means():
         assert layer.speed == pytest.approx(step.speed, rel=0.015)  # measured 7e-3; K is read half a cell off
     for i in range(3):
         assert find_steps(run.q[i], -4.0, 0.004, LAW.f(run.q[i]), table) == []
+
+
+@pytest.mark.parametrize("place", [-0.5, -0.32, -0.28, -0.1])
+def test_a_step_is_fitted_on_either_side_of_a_vertical_slope(place):
+    """u = x left of the step; on its right a piece of constant I that is vertical at -0.3, and level left of there."""
+    table, x = step_law(LAW), np.linspace(-1.0, 0.0, 4001)
+    distance = np.maximum(x + 0.3, 0.0)
+    r = np.array([kernels.r_of(kernels.v_of(-np.expm1(-table.rate * d), table), table) for d in distance])
+    W, at = 0.4 + table.r_most - r, int(np.argmin(np.abs(x - place)))
+    height = W[at]
+    W = np.where(x > place + 1e-9, W, 0.0)
+    W[at] = 0.5 * height
+    v = np.array([0.0, kernels.v_of(-np.expm1(-0.3 * table.rate), table)])
+    # the trapezoidal rule at the vertical slope: dx^(3/2), measured 3e-6
+    assert _fit(W, -1.0, 0.0, v, table) == pytest.approx((place, height, r[at]), abs=1e-5)
 
 
 def linked(*paths):
