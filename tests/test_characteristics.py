@@ -288,6 +288,21 @@ def test_labels_of_a_shock_are_those_at_which_X_rises(sides, start, exact):
     assert off[0] == pytest.approx(exact, abs=1e-13)
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_folds_and_labels_by_bisection(side):
+    """X = ξ³ - ξ/2 turns at ξ² = 1/6 and is ±1/2 at ξ = ±1, where W - X is 1/4; ±ξ² - ξ/10 turns at ±1/20."""
+    r, X, mesh, rule, _, w = on_labels(CUBIC, RISING, CUBIC, RISING)
+    fold = labels.fold(side, 0, r, X, mesh, rule, w)
+    assert fold == pytest.approx(np.sqrt(1.0 / 6.0), abs=1e-12)
+    for of_W, target in ((0.0, 0.5 * side), (1.0, 0.5 * side + 0.25)):
+        label = labels.label_of(side, 0, target, of_W, fold, r, X, mesh, rule, w)
+        assert label == pytest.approx(1.0, abs=1e-12)
+    assert np.isnan(labels.label_of(side, 0, 100.0 * side, 0.0, fold, r, X, mesh, rule, w))
+    for X, turn in ((Polynomial([0.0, -0.1, side]), 0.05), (LINE, 0.0)):
+        r, X, mesh, rule, _, w = on_labels(X, LOW, X, HIGH)
+        assert labels.fold(side, 0, r, X, mesh, rule, w) == pytest.approx(turn, abs=1e-12)
+
+
 def test_labels_of_a_newborn_shock_are_at_the_joint():
     """At its birth X has a level tangent, and there is no fold between which labels could be found."""
     off, cube = np.zeros((1, 2)), Polynomial([0.0, 0.0, 0.0, 1.0])
