@@ -391,6 +391,19 @@ def test_a_step_that_is_lost_alone_has_neither_merged_nor_left():
     assert (kind, number) == ("exit", 1) and t == pytest.approx(0.05, abs=1e-12)
 
 
+def test_a_layer_is_taken_as_a_sharp_step():
+    """g = f - q = q/(1+q) is at most what it is left of the layer, and on the right on the line through two cells."""
+    q = np.array([0.5, 0.5, 0.5, 3.0, 20.0, 8.0, 4.0, 2.0, 1.0, 0.9, 0.8])
+    f = LAW.f(q)
+    telescoping.thin_layers(q, f, 1.0, 10.0)
+    g = q / (1.0 + q)
+    g[3] = 1.0 / 3.0
+    g[5:8] = np.minimum(g[5:8], 0.5 + np.array([3, 2, 1]) * (0.5 - 9.0 / 19.0))
+    assert f - q == pytest.approx(g, abs=1e-12)
+    telescoping.thin_layers(q, f := LAW.f(q), 1.0, 30.0)  # no peak is so steep
+    assert np.array_equal(f, LAW.f(q))
+
+
 @pytest.mark.parametrize("inflow", [0.0, 0.3])
 def test_rates_of_the_second_order_scheme(inflow):
     """Against whole arrays, without layers of steps: each of a few cells is the fastest, the first and the last too."""
