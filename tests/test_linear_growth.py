@@ -363,7 +363,10 @@ def linked(*paths):
     return monitor.living[:, 0].tolist(), events
 
 
-def moving(start, speed, frames=range(10)):
+TEN = range(10)
+
+
+def moving(start, speed, frames=TEN):
     """A step that is seen in `frames`."""
     return lambda n: (start + 0.01 * speed * n, speed) if n in frames else None
 
