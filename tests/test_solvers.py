@@ -287,3 +287,12 @@ def test_a_slope_below_minus_one_is_no_state(method):
     with pytest.raises(Breakdown) as caught:
         scheme.evaluate()
     assert caught.value.cell == 30 and caught.value.q == pytest.approx(-1.5, abs=1e-12)
+
+
+def test_steps_that_stay_too_short_end_the_run(monkeypatch):
+    """Along q = -0.99 ln K falls by hundreds, and the steps of WENO5 are 1e-217: only so many are taken."""
+    monkeypatch.setattr("hjprofile.solvers.march.PATIENCE", 100)
+    problem = hj.Problem(hj.power(3.0), hj.steps([-1.0, -0.5], [-0.99]), end=1.0)
+    run = hj.solve_hj(problem, hj.Grid(-3.0, 100), "weno5")
+    assert run.status.startswith("stopped at t = ") and "fell below 1e-09 of the run" in run.status
+    assert 100 < run.steps <= 100 + 64  # steps are counted by the batch
