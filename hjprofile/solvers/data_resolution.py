@@ -43,16 +43,16 @@ class Resolution(NamedTuple):
         """Whether the data represent the profile: they do not where an error is NaN."""
         return self.slope <= SLOPE and self.flux <= FLUX and self.fall <= FALL
 
-    def caution(self, data: str, remedy: str) -> list[str]:
+    def caution(self, data: str, remedy: str) -> tuple[str, ...]:
         """A sentence on `data` that do not represent the profile; no sentence if they do."""
         if self.holds:
-            return []
+            return ()
         carried = f" A steep fall that moves as a shock adds {100.0 * self.fall:.2g} % of the range of u - x."
-        return [
+        return (
             f"{data} do not resolve the profile at t = 0: q is wrong by {100.0 * self.slope:.3g} % of its L1 norm "
             f"(at most {100.0 * SLOPE:g} %) and ln K by {self.flux:.3g} (at most {FLUX:g})."
-            f"{carried if self.fall > FALL else ''} Use {remedy}."
-        ]
+            f"{carried if self.fall > FALL else ''} Use {remedy}.",
+        )
 
 
 EXACT = Resolution(0.0, 0.0, 0.0)

@@ -272,6 +272,10 @@ class _Tracker(Tracker):
         """∫W dx."""
         return kernels.volume(self.x, self.jump, self.n, self.table, self.data.r0, self._sweep()[1])
 
+    def least(self) -> float:
+        right = self._sweep()[1]
+        return float(law_q_f(right.min(), self.table)[0]) if self.n else 0.0
+
     def falls(self) -> Array:
         left, right, _, K = self._sweep()
         strong = np.flatnonzero(np.log(left / right) > WEAK).tolist()
@@ -359,7 +363,7 @@ def track_and_prove(
         allowed["mass_budget"] = second + data.spacing * scale, "first order in the spacing of fronts"
     if tracker.exact:
         allowed |= dict.fromkeys(("mass_budget", "volume_budget"), (read, "rounding"))
-    watch = SnapshotBounds(grid, data.top, tracker.volume(), allowed)
+    watch = SnapshotBounds(grid, data.top, tracker.volume(), allowed, tracker.least())
     tracker.advance(0.0)  # compiles what is to be compiled
     seconds, status = 0.0, "done"
     for target in np.unique(np.append(kept, problem.end)):

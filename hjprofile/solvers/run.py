@@ -256,7 +256,7 @@ class Run:
         known = "is not known" if self.error_estimate is None else f"is about {self.error_estimate:.1g}"
         caution = f"the tolerance {tolerance:g} is not met: the error of u {known}. Use a larger tolerance."
         status = f"went to its end, but {caution}" if self.done else self.status
-        return replace(self, status=status, cautions=[*self.cautions, caution])
+        return replace(self, status=status, cautions=(*self.cautions, caution))
 
     def kinks_at(self, index: int) -> list[KinkRecord]:
         """The kinks at the saved time `self.time[index]`, from left to right."""

@@ -112,6 +112,10 @@ class Tracker:
             name = {0.0: "birth", -1.0: "exit", BLOW_UP: "blow-up"}.get(into, "merge")
             self.events.append(Event(t, name, int(kink), int(into) if into > 0 else None, x))
 
+    def least(self) -> float:
+        """The least q on the right of a front, which a grid may not see between two nodes."""
+        raise NotImplementedError
+
     def falls(self) -> Array:
         """q on the left, q on the right and K of the fronts that carry a fall by more than WEAK, shape (3, fronts)."""
         raise NotImplementedError
@@ -261,6 +265,10 @@ class StepTracker(Tracker):
         """∫W dx."""
         self._sweep()
         return float(kernels.volume(self.x, self.jump, self.n, self.work[0], self.work[1], self.law))
+
+    def least(self) -> float:
+        self._sweep()
+        return float(np.expm1(self.work[1, : self.n].min(initial=0.0)))
 
     def falls(self) -> Array:
         self._sweep()
