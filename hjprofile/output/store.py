@@ -241,7 +241,7 @@ def load_run(folder: str | Path) -> Run:
             volume_budget_error=_number((content["volume_budget"] or {}).get("difference")),
             error_estimate=content.get("error_estimate"),
             account=content.get("account", ""),
-            cautions=tuple(content["warnings"][: len(content["warnings"]) - broken]),  # the others belong to broken bounds
+            cautions=tuple(content["warnings"][: len(content["warnings"]) - broken]),  # before those of broken bounds
         )  # fmt: skip
     except FileNotFoundError as error:
         under = Path("results") / folder
