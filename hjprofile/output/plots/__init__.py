@@ -2,23 +2,26 @@
 
 import logging
 import os
+import sys
+from contextlib import suppress
 
 
 def _import_matplotlib() -> None:
     """Import matplotlib without a line on stderr, also where MPLBACKEND names a backend that it does not have."""
     logger = logging.getLogger("matplotlib")  # of an unknown key in a matplotlibrc, of a cache that cannot be written
-    level = logger.level
+    level, backend = logger.level, os.environ.pop("MPLBACKEND", None)
     logger.setLevel(logging.CRITICAL)
     try:
         import matplotlib
-    except ValueError:
-        backend = os.environ.pop("MPLBACKEND")
-        try:
-            import matplotlib  # noqa: F401
-        finally:
-            os.environ["MPLBACKEND"] = backend
+
+        if backend is not None:
+            with suppress(ValueError):  # for the user's own pictures; those of this package need none
+                matplotlib.rcParams["backend"] = backend
     finally:
         logger.setLevel(level)
+        if backend is not None:
+            os.environ["MPLBACKEND"] = backend
 
 
-_import_matplotlib()
+if "matplotlib" not in sys.modules:
+    _import_matplotlib()
