@@ -14,6 +14,7 @@ from hjprofile.solvers.run import Run
 
 EVENTS = "birth", "merge", "exit", "blow-up"
 SECTIONS = "erosion", "profile", "domain", "time", "solver"
+MOST = 2**31  # kinks and vertical steps
 LONGEST_TEXT = 10_000  # characters of a sentence
 
 
@@ -72,11 +73,11 @@ def _of_tables(run: Run) -> str:
     for name, rows in (("kinks.csv", run.kinks), ("vertical_steps.csv", run.vertical_steps or ())):
         for row in rows:
             numbers = [value for field, value in row._asdict().items() if field != "speed"]  # NaN if it is not known
-            here = left - hair <= row.x <= right + hair
+            here = left - hair <= row.x <= right + hair and 0 < row[1] < MOST
             if not (row.time in times and here and np.all(np.isfinite(numbers)) and not np.isinf(row.speed)):
                 return f"{name} holds a row that is not of this run: {row}"
     for event in run.events:
-        during = first - hair <= event.time <= last + hair
+        during = first - hair <= event.time <= last + hair and 0 < event.kink < MOST and 0 < (event.into or 1) < MOST
         if not (event.event in EVENTS and during and left - hair <= event.x <= right + hair):
             return f"events.csv holds a row that is not of this run: {event}"
     return ""

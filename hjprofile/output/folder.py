@@ -139,7 +139,9 @@ class ResultFolder:
         for name in self.stale:
             self._delete(name)
         if self.stale or not self.files.issuperset(names) or not (self.path / RECORD).exists():
-            self.stale, self.files = frozenset(), self.files | set(names)
+            now = _recorded(self.path)  # another command on the same case may have written meanwhile
+            theirs = now.files if now and now.owner.fingerprint == self.owner.fingerprint else frozenset[str]()
+            self.stale, self.files = frozenset(), self.files | theirs | set(names)
             self._write_record()
 
     def write(self, files: Mapping[str, bytes | str]) -> list[Path]:

@@ -24,7 +24,7 @@ from hjprofile.problem.stored import read_profile
 from hjprofile.problem.units import Units
 from hjprofile.solvers.run import FIELDS, UNITS, Event, KinkRecord, Run, Verdict, VerticalStep
 
-_Record = TypeVar("_Record", KinkRecord, VerticalStep)
+_Row = TypeVar("_Row", KinkRecord, Event, VerticalStep)
 
 VTK_FOLDER = "vtk"
 STEPS_FILE = "vertical_steps.csv"
@@ -236,18 +236,14 @@ def load_run(folder: str | Path) -> Run:
         text = {name: attributes[name].decode() for name in ("method", "case", "status")}
         units = Units(*(float(attributes[name]) for name in UNITS)) if UNITS[0] in attributes else None
         content = json.loads((folder / "summary.json").read_text(encoding="utf-8"), parse_constant=_no_number)
-        events = [
-            Event(float(r["time"]), r["event"], int(r["kink"]), int(r["into"]) if r["into"] else None, float(r["x"]))
-            for r in _read(folder, "events.csv", Event)
-        ]
-        steps = _records(folder, STEPS_FILE, VerticalStep, "step") if (folder / STEPS_FILE).exists() else None
         bounds = {name: _verdict(table) for name, table in content["bounds"].items()}
         cautions = len(content["warnings"]) - sum(not bound.holds for bound in bounds.values())
         run = Run(
             title=content["title"], method=text["method"], case=tomllib.loads(text["case"]), **arrays,  # type: ignore[arg-type]
             status=text["status"], steps=content["steps"], wall_seconds=content["wall_seconds"],
             step_range=(_number(content["time_step"]["least"]), _number(content["time_step"]["largest"])),
-            kinks=_records(folder, "kinks.csv", KinkRecord, "kink"), events=events, vertical_steps=steps,
+            kinks=_table(folder, "kinks.csv", KinkRecord), events=_table(folder, "events.csv", Event),
+            vertical_steps=_table(folder, STEPS_FILE, VerticalStep) if (folder / STEPS_FILE).exists() else None,
             eroded_volume=_number(content["eroded_volume"]), outflow=_number(content["outflow"]), units=units,
             bounds=bounds, volume_budget_error=_number((content["volume_budget"] or {}).get("difference")),
             error_estimate=content.get("error_estimate"), account=content.get("account", ""),
@@ -265,7 +261,8 @@ def load_run(folder: str | Path) -> Run:
         message = f"{folder} is not a readable result folder: it is a file; name the folder that `hjprofile run` wrote"
         raise InputError(message, about="a-result-folder") from None
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError, OverflowError, csv.Error) as e:
-        reason = " ".join(f"{type(e).__name__}: {e}".split())[:LONGEST_REASON]
+        named = "" if type(e) in (ValueError, InputError) else f"{type(e).__name__}: "
+        reason = " ".join(f"{named}{e}".split())[:LONGEST_REASON]
         message = f"{folder} is not a readable result folder: {reason}; run the case again"
         raise InputError(message, about="a-result-folder") from None
 
@@ -286,16 +283,24 @@ def _verdict(table: dict[str, Any]) -> Verdict:
     return Verdict(table["holds"], margin, time, x, table["allowance"])
 
 
-def _records(folder: Path, name: str, kind: type[_Record], whole: str) -> list[_Record]:
-    """The rows of a table of numbers, of which the column `whole` holds whole ones."""
-    rows = _read(folder, name, kind)
-    return [kind(**{n: int(v) if n == whole else float(v or "nan") for n, v in row.items()}) for row in rows]  # type: ignore[arg-type]
+_OF_COLUMN: dict[str, Callable[[str], Any]] = {
+    "event": str, "kink": int, "step": int, "into": lambda text: int(text) if text else None
+}  # fmt: skip
 
 
-def _read(folder: Path, name: str, kind: type[tuple]) -> list[dict[str, str]]:
+def _table(folder: Path, name: str, kind: type[_Row]) -> list[_Row]:
+    """The rows of a table; a column that is not in _OF_COLUMN holds numbers, NaN where it is empty."""
     with open(folder / name, newline="", encoding="utf-8") as stream:
         reader = csv.DictReader(stream, strict=True)
         rows = list(reader)
-    if reader.fieldnames != list(kind._fields) or any(None in row or None in row.values() for row in rows):  # type: ignore[attr-defined]
-        raise ValueError(f"{name} must have the columns {', '.join(kind._fields)}")  # type: ignore[attr-defined]
-    return rows
+    columns: Any = kind._fields  # type: ignore[attr-defined]
+    if reader.fieldnames != list(columns) or any(None in row or None in row.values() for row in rows):
+        raise ValueError(f"{name} must have the columns {', '.join(columns)}")
+    try:
+        return [kind(**{n: _OF_COLUMN.get(n, _float)(text) for n, text in row.items()}) for row in rows]
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+
+
+def _float(text: str) -> float:
+    return float(text or "nan")
