@@ -213,6 +213,15 @@ def test_heights_on_different_grids_are_left_out(scene):
         assert "u" not in data and data.domain_cells.values.tolist() == [40, 80]
 
 
+def test_heights_that_a_file_cannot_hold_are_left_out(scene, monkeypatch):
+    """The numbers of the members are not lost over it."""
+    monkeypatch.setattr("hjprofile.output.sweep.LARGEST_VARIABLE", 2 * 81 * 8)
+    for ends, there in (([0.1], True), ([0.1, 0.2], False)):
+        assert hj.sweep(scene, {"time.end": ends}, folder="out").quantity("end").tolist() == ends
+        with xr.open_dataset("out/sweep.nc") as data:
+            assert ("u" in data) == there
+
+
 FAILING_LAW = """
 def f(q):
     if {condition}:

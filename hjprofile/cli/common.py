@@ -88,7 +88,8 @@ def load_cases(names: tuple[Path, ...], out: Path | None) -> tuple[ResultFolder,
     """The cases, and the folder for what comes of them all."""
     from hjprofile.problem.case import load_case
 
-    return folder_for(names, out), [load_case(name) for name in names]
+    loaded = [load_case(name) for name in names]
+    return folder_for(names, out), loaded
 
 
 def folder_for(names: tuple[Path, ...], out: Path | None, keep: str = "") -> ResultFolder:

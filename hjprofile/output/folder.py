@@ -67,7 +67,10 @@ def owner_of_run(case: Mapping[str, Any]) -> Owner:
 
 
 def _stable(content: Mapping[str, Any]) -> bytes:
-    return json.dumps(content, sort_keys=True, default=str).encode()
+    try:
+        return json.dumps(content, sort_keys=True, default=str).encode()
+    except (ValueError, RecursionError):  # a number of thousands of digits, deep nesting: the command refuses it
+        return b""
 
 
 def _bytes_of(path: Path) -> bytes:

@@ -78,6 +78,7 @@ def write_results(
     if run.vertical_steps is not None:
         data[STEPS_FILE] = to_csv(VerticalStep._fields, run.vertical_steps)
     place.remove(_OF_A_RUN)
+    place.claim(*data, "summary.json", *(f"{name}.png" for name in PICTURES if plots))
     files = place.write(data)
     end = place.write({"summary.json": to_json(summary(run))})  # after the data: a folder with a summary has them all
     failures: list[str] = []
