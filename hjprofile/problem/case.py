@@ -140,13 +140,6 @@ def _text(value: Any) -> str:
     return value
 
 
-def _title(value: Any) -> str:
-    """a string of at most 500 characters"""
-    if len(_text(value)) > LONGEST_TITLE:
-        raise ValueError
-    return str(value)
-
-
 def _switch(value: Any) -> bool:
     """true or false"""
     if not isinstance(value, bool):
@@ -306,7 +299,9 @@ def read_choices(arguments: Sequence[str]) -> dict[str, list[Any]]:
 def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -> Case:
     """A case from parsed TOML; paths in it are relative to `base`."""
     top = _Section(source, "", content)
-    title = top.take("title", _title, name)
+    title = top.take("title", _text, name)
+    if len(title) > LONGEST_TITLE:
+        raise top.error(f"title has {len(title)} characters; at most {LONGEST_TITLE} are allowed")
     sections = {
         key: _Section(source, key, top.take(key, _table, {}))
         for key in ("erosion", "layer", "profile", "coefficient", "domain", "time", "solver", "output")
