@@ -89,7 +89,7 @@ def write_results(
         files += place.write(pictures)
         failures += undrawn
     if failures:
-        run = replace(run, cautions=(*run.cautions, *failures))
+        run = replace(run, cautions=[*run.cautions, *failures])
         end = place.write({"summary.json": to_json(summary(run))})
     return run, files + end
 
@@ -248,7 +248,7 @@ def load_run(folder: str | Path) -> Run:
             eroded_volume=_number(content["eroded_volume"]), outflow=_number(content["outflow"]), units=units,
             bounds=bounds, volume_budget_error=_number((content["volume_budget"] or {}).get("difference")),
             error_estimate=content.get("error_estimate"), account=content.get("account", ""),
-            cautions=tuple(content["warnings"][:cautions]),  # the others belong to broken bounds
+            cautions=content["warnings"][:cautions],  # the others belong to broken bounds
         )  # fmt: skip
         if fault := fault_of(run, content):
             raise ValueError(fault)
