@@ -4,6 +4,7 @@ import dataclasses
 import os
 import subprocess
 import sys
+import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
@@ -54,13 +55,20 @@ def test_the_users_settings_have_no_effect_and_stay():
         assert all_settings() == before
 
 
-def test_threads_draw_the_same_and_leave_the_settings():
-    run, before = solved(), all_settings()
+def test_threads_draw_the_same_and_leave_the_settings(monkeypatch):
+    """One begins to draw while the other is at it, and the one that began first ends first."""
+    run, before, honest = solved(), all_settings(), style.sheet
     names = ["factor", "diagram"]
     alone = pictures(run, names=names)
+
+    def slow(*arguments, **named):
+        time.sleep(0.2)
+        return honest(*arguments, **named)
+
+    monkeypatch.setattr(style, "sheet", slow)
     with ThreadPoolExecutor(2) as threads:
-        together = list(threads.map(lambda name: pictures(run, names=[name]), names * 2))
-    assert [data for files in together for data in files.values()] == [*alone.values()] * 2
+        together = list(threads.map(lambda name: pictures(run, names=[name]), names))
+    assert [data for files in together for data in files.values()] == [*alone.values()]
     assert all_settings() == before
 
 
