@@ -72,12 +72,12 @@ def test_threads_draw_the_same_and_leave_the_settings(monkeypatch):
     assert all_settings() == before
 
 
-@pytest.mark.parametrize("title", ["$x_$", "$\\frac$", "100 $ and 50 $", "_hidden", "字 \U0001f600", "a\\$b", "%\x07"])
+@pytest.mark.parametrize("title", ["$x_$", "100 $ and $ \\frac", "_hidden %", "字 \U0001f600 \x07"])
 def test_a_title_is_text_and_nothing_else(title):
     run = dataclasses.replace(solved(), title=title)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert style.encode(draw_factor(run), "png") and style.encode(draw_factor(run), "svg")
+        assert style.encode(draw_factor(run), "png")
         assert style.encode(draw_comparison(run, run, (title, title)), "svg")
     assert draw_factor(run).texts[0].get_text().strip() == title.strip()
 
