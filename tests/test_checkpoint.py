@@ -15,6 +15,7 @@ import tomli_w
 
 import hjprofile as hj
 from hjprofile.output.checkpoint import NAME, Checkpoint
+from hjprofile.output.folder import RECORD
 from hjprofile.problem.case import parse_case
 from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS, solve_case
 
@@ -190,7 +191,8 @@ def killed_again_and_again(tmp_path, kills, seed):
         assert files_of(tmp_path / "killed") == expected
     code, out, err = run_once(tmp_path / "killed", "--resume")
     assert code == 0 and files_of(tmp_path / "killed") == expected
-    assert not [p.name for p in (tmp_path / "killed" / "out").rglob("*") if NAME in p.name or p.name.startswith(".")]
+    left = [p.name for p in (tmp_path / "killed" / "out").rglob("*") if NAME in p.name or p.name.startswith(".")]
+    assert left == [RECORD]
     return resumed
 
 
@@ -215,4 +217,4 @@ def test_ctrl_c_saves_and_says_so(tmp_path):
         err = process.stderr.read().decode()
     assert process.returncode == 1
     assert err.startswith("hjprofile: interrupted at t = ") and f"out/{NAME}" in err and "--resume" in err
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [NAME]
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [RECORD, NAME]

@@ -56,7 +56,9 @@ def folder(in_tmp):
 
 
 def contents(folder):
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in Path(folder).rglob("*") if p.is_file()}
+    """Name -> bytes of the files that a user sees."""
+    files = (p for p in Path(folder).rglob("*") if p.is_file() and p.name[0] != ".")
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in files}
 
 
 def test_run_then_plot_and_export_again(folder, call):

@@ -20,6 +20,7 @@ import hjprofile as hj
 from hjprofile.evidence import sweep as evidence
 from hjprofile.evidence.sweep import QUANTITIES
 from hjprofile.output import workers
+from hjprofile.output.folder import RECORD
 from hjprofile.output.sweep import KEPT, netcdf
 from hjprofile.problem.case import read_choices
 from hjprofile.solvers.methods import solve_case
@@ -212,6 +213,15 @@ def test_heights_on_different_grids_are_left_out(scene):
         assert "u" not in data and data.domain_cells.values.tolist() == [40, 80]
 
 
+def test_heights_that_a_file_cannot_hold_are_left_out(scene, monkeypatch):
+    """The numbers of the members are not lost over it."""
+    monkeypatch.setattr("hjprofile.output.sweep.LARGEST_VARIABLE", 2 * 81 * 8)
+    for ends, there in (([0.1], True), ([0.1, 0.2], False)):
+        assert hj.sweep(scene, {"time.end": ends}, folder="out").quantity("end").tolist() == ends
+        with xr.open_dataset("out/sweep.nc") as data:
+            assert ("u" in data) == there
+
+
 FAILING_LAW = """
 def f(q):
     if {condition}:
@@ -345,7 +355,7 @@ def test_what_is_done_is_not_run_again(scene, ran):
 
     with pytest.raises(hj.RunError, match=r"interrupted; 3 of 6 members are kept in out/members, and --resume"):
         hj.sweep(scene, vary, folder="out", progress=progress)
-    assert len(ran) == 3 and sorted(p.name for p in Path("out").iterdir()) == [KEPT]
+    assert len(ran) == 3 and sorted(p.name for p in Path("out").iterdir()) == [RECORD, KEPT]
     ran.clear()
     resumed = hj.sweep(scene, vary, folder="out", resume=True)
     assert ran == [(1.0, 1.0), (2.0, 0.5), (2.0, 1.0)] and resumed.recalled == 3

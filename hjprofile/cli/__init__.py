@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import io
 import os
 import sys
 from typing import NoReturn
@@ -29,6 +30,9 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     """Runs a command; 0 done, 1 the run or a check failed, 2 wrong usage or bad input. Never a traceback for these."""
     if arguments is None:  # a process of its own, whose imports would be searched for garbage again and again
         gc.disable()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # one that has no '∫' gets a '?', and the command goes on
+            stream.reconfigure(errors="replace")
     try:
         app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
         sys.stdout.flush()

@@ -13,6 +13,7 @@ from cyclopts import App, Parameter
 import hjprofile
 
 if TYPE_CHECKING:
+    from hjprofile.output.folder import ResultFolder
     from hjprofile.problem.case import Case
 
 app = App(
@@ -34,8 +35,19 @@ def _whole(_: Any, tokens: Any) -> int:
         raise ValueError(f"{tokens[0].value[:40]!r} is not a whole number") from None
 
 
-CasePath = Annotated[Path, Parameter(help="A TOML file, or a name that `hjprofile cases` lists.")]
-After = Annotated[Path, Parameter(help="The survey afterwards: a CSV file with the header x,height.")]
+def expanded(_: Any, tokens: Any) -> Path:
+    """A path in which ~ is the home folder also where no shell has expanded it, as in --out=~/results."""
+    from contextlib import suppress
+
+    path = Path(tokens[0].value)
+    with suppress(RuntimeError):  # there is no such home
+        path = path.expanduser()
+    return path
+
+
+Somewhere = Annotated[Path, Parameter(converter=expanded)]
+CasePath = Annotated[Somewhere, Parameter(help="A TOML file, or a name that `hjprofile cases` lists.")]
+After = Annotated[Somewhere, Parameter(help="The survey afterwards: a CSV file with the header x,height.")]
 Cells = Annotated[int | None, Parameter(converter=_whole, help="Number of grid cells, instead of the case's.")]
 Method = Annotated[str | None, Parameter(help="Solver method, instead of the case's; a wrong name lists them all.")]
 Cfl = Annotated[float | None, Parameter(help="Time step as a part of the largest monotone one.")]
@@ -45,8 +57,10 @@ Resume = Annotated[bool, Parameter(help="Go on from the checkpoint in the folder
 Strict = Annotated[bool, Parameter(help="Stop, as a failure, where a bound is broken.")]
 Fitted = Annotated[list[str], Parameter(help="A parameter to fit by its key, as in time.end; once for each.")]
 Sigma = Annotated[float | None, Parameter(help="Standard deviation of a measured height; else from the residuals.")]
-Out = Annotated[Path | None, Parameter(help="Folder for the results; results/<case name> by default.")]
-Into = Annotated[Path | None, Parameter(help="Folder for the files; the result's own by default.")]
+Out = Annotated[
+    Path | None, Parameter(converter=expanded, help="Folder for the results; results/<case name> by default.")
+]
+Into = Annotated[Path | None, Parameter(converter=expanded, help="Folder for the files; the result's own by default.")]
 
 Vary = Annotated[list[str], Parameter(help="A key of the case and its values: erosion.m=0.5,1,2. May be repeated.")]
 Workers = Annotated[
@@ -67,15 +81,28 @@ def answer(json: bool, document: Mapping[str, Any]) -> None:
     if json:
         from hjprofile.output.store import to_json
 
-        print(to_json(document), end="")
+        print(to_json(document, ascii_only=True), end="")
 
 
-def load_cases(names: tuple[Path, ...], out: Path | None) -> tuple[Path, list[Case]]:
+def load_cases(names: tuple[Path, ...], out: Path | None) -> tuple[ResultFolder, list[Case]]:
     """The cases, and the folder for what comes of them all."""
     from hjprofile.problem.case import load_case
 
     loaded = [load_case(name) for name in names]
-    return out or (Path("results") / loaded[0].name if len(loaded) == 1 else Path("results")), loaded
+    return folder_for(names, out), loaded
+
+
+def folder_for(names: tuple[Path, ...], out: Path | None, keep: str = "") -> ResultFolder:
+    """The folder for what comes of these cases. A folder that the user names may have belonged to another case.
+
+    Raises InputError if a case cannot be read, or the folder that goes by its name belongs to another.
+    """
+    from hjprofile.output.folder import ResultFolder, owner_of
+    from hjprofile.problem.case import find_case
+
+    paths = [find_case(name) for name in names]
+    path = out or (Path("results") / paths[0].stem if len(paths) == 1 else Path("results"))
+    return ResultFolder(path, owner_of(paths), out is not None or len(paths) > 1, keep)
 
 
 def listing(folder: Path, files: list[Path]) -> str:

@@ -8,26 +8,29 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from hjprofile.cli.common import Into, Json, Progress, answer, app, listing, say
+from hjprofile.cli.common import Into, Json, Progress, Somewhere, answer, app, expanded, listing, say
 from hjprofile.errors import InputError
 
 Film = Annotated[
-    Path | None, Parameter(help="File, which ends in .gif or .mp4; profile.gif in the result folder by default.")
+    Path | None,
+    Parameter(
+        converter=expanded, help="File, which ends in .gif or .mp4; profile.gif in the result folder by default."
+    ),
 ]
 Fps = Annotated[float, Parameter(help="Saved times a second; 8 by default.")]
 
 
 @app.command
-def plot(result: Path, /, *, out: Into = None, json: Json = False) -> None:
+def plot(result: Somewhere, /, *, out: Into = None, json: Json = False) -> None:
     """Draw the pictures of a result folder again as PNG and as SVG, into it or into another folder."""
     from hjprofile.output.plots.runs import pictures
     from hjprofile.output.store import load_run
 
-    _write(out or result, pictures(load_run(result), ("png", "svg")), json)
+    _write(result, out or result, pictures(load_run(result), ("png", "svg")), json)
 
 
 @app.command
-def compare(result: Path, other: Path, /, *, out: Into = None, json: Json = False) -> None:
+def compare(result: Somewhere, other: Somewhere, /, *, out: Into = None, json: Json = False) -> None:
     """Say how far two results are apart and draw both with their differences, into the first or another folder.
 
     The grids must be the same, or one a refinement of the other. Writes comparison.png and comparison.svg.
@@ -50,16 +53,18 @@ def compare(result: Path, other: Path, /, *, out: Into = None, json: Json = Fals
         area, height = norms.height_l1 * units.volume, norms.height_sup * units.length * units.critical_slope
         heights = f" ({area:.2g} and {height:.2g} {in_units})"
         kinks += f" ({norms.kinks * units.length:.2g} {in_units})" if norms.kinks == norms.kinks else ""
-    for name, run in zip(names, (first, second), strict=True):
-        say(json, f"{name}: {run.method}, {run.cells} cells")
-    say(json, f"  height      ∫|u₁ - u₂| dx = {norms.height_l1:.2g}, sup|u₁ - u₂| = {norms.height_sup:.2g}{heights}")
-    say(json, f"  slope       ∫|q₁ - q₂| dx = {norms.slope_l1:.2g}, sup|q₁ - q₂| = {norms.slope_max:.2g}")
-    say(json, f"  kinks       {kinks}")
-    _write(out or result, files, json, {"shared_times": times} | norms._asdict())
+    lines = [f"{name}: {run.method}, {run.cells} cells" for name, run in zip(names, (first, second), strict=True)]
+    lines += [
+        f"  height      ∫|u₁ - u₂| dx = {norms.height_l1:.2g}, sup|u₁ - u₂| = {norms.height_sup:.2g}{heights}",
+        f"  slope       ∫|q₁ - q₂| dx = {norms.slope_l1:.2g}, sup|q₁ - q₂| = {norms.slope_max:.2g}",
+        f"  kinks       {kinks}",
+        "  written     ",
+    ]
+    _write(result, out or result, files, json, {"shared_times": times} | norms._asdict(), "\n".join(lines))
 
 
 @app.command
-def animate(result: Path, /, *, out: Film = None, fps: Fps = 8.0, json: Json = False) -> None:
+def animate(result: Somewhere, /, *, out: Film = None, fps: Fps = 8.0, json: Json = False) -> None:
     """Show the saved times of a result folder as a moving picture: a GIF, or an MP4 where there is ffmpeg."""
     from hjprofile.output.plots.animation import animation
     from hjprofile.output.store import load_run
@@ -67,12 +72,12 @@ def animate(result: Path, /, *, out: Film = None, fps: Fps = 8.0, json: Json = F
     file = out or result / "profile.gif"
     with Progress("animating") as progress:
         data = animation(load_run(result), file.suffix.lower(), fps, progress)
-    _write(file.parent, {file.name: data}, json)
+    _write(result, file.parent, {file.name: data}, json)
 
 
 @app.command
 def export(
-    result: Path,
+    result: Somewhere,
     /,
     *,
     vtk: Annotated[bool, Parameter(help="Files for ParaView; the only format so far.")] = False,
@@ -86,14 +91,25 @@ def export(
         raise InputError("export needs a format: --vtk", about="the-command-line")
     from hjprofile.output.vtk import vtk_files
 
-    _write(out or result / VTK_FOLDER, vtk_files(load_run(result)), json)
+    files = vtk_files(load_run(result))
+    if out is None:
+        files = {f"{VTK_FOLDER}/{name}": data for name, data in files.items()}
+    _write(result, out or result, files, json)
 
 
-def _write(folder: Path, files: Mapping[str, bytes | str], json: bool, found: Mapping[str, Any] | None = None) -> None:
-    from hjprofile.output.store import write_whole
+def _write(
+    result: Path,
+    folder: Path,
+    files: Mapping[str, bytes | str],
+    json: bool,
+    found: Mapping[str, Any] | None = None,
+    account: str = "",
+) -> None:
+    """Write what was made from a result, then print what was found, where there is something, and the files."""
+    from hjprofile.output.folder import add_files
 
-    for name, data in files.items():
-        write_whole(folder / name, data)
-    paths = [folder / name for name in files]
-    say(json, f"{'  written     ' if found else ''}{folder}: {listing(folder, paths)}")
+    paths = add_files(result, folder, files)
+    inside = {path.parent for path in paths}
+    shown = inside.pop() if len(inside) == 1 else folder
+    say(json, f"{account}{shown}: {listing(shown, paths)}")
     answer(json, {**(found or {}), "files": paths})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hjprofile.cli.common import (
@@ -25,6 +24,7 @@ from hjprofile.cli.common import (
     Workers,
     answer,
     app,
+    folder_for,
     listing,
     load_cases,
     say,
@@ -51,8 +51,8 @@ def run(
     json: Json = False,
 ) -> None:
     """Solve a case and write its result folder."""
-    from hjprofile.output.checkpoint import Checkpoint
-    from hjprofile.output.store import open_folder, summary, write_run
+    from hjprofile.output.checkpoint import NAME, Checkpoint
+    from hjprofile.output.store import summary, write_results
     from hjprofile.output.workers import drawing_helper
     from hjprofile.problem.case import load_case
 
@@ -61,23 +61,23 @@ def run(
     solver = {"solver.method": method, "solver.cfl": cfl, "solver.tolerance": tolerance}
     asked = solver | {"domain.cells": cells, "time.end": end}
     loaded = load_case(case, {key: value for key, value in asked.items() if value is not None})
-    folder = out or Path("results") / loaded.name
+    folder = folder_for((case,), out, keep=NAME if resume else "")
     with drawing_helper(loaded.plots) as helper:
         from hjprofile.solvers.methods import check_method, solve_case
 
         check_method(loaded)
-        open_folder(folder)
-        checkpoint = Checkpoint(folder, loaded.checkpoint, resume)
+        folder.open()
+        checkpoint = Checkpoint(folder.path, loaded.checkpoint, resume, folder.claim)
         with Progress("eroding") as progress:
             result = solve_case(loaded, progress, strict, checkpoint)
-        files = write_run(result, folder, loaded.vtk, loaded.plots, helper)
+        result, files = write_results(result, folder, loaded.vtk, loaded.plots, helper)
         checkpoint.discard()
     say(json, _account(result))
     if checkpoint.resumed_at is not None:
         say(json, f"  resumed     from the checkpoint at t = {checkpoint.resumed_at:.6g}")
     elif resume:
         say(json, "  resumed     not: there was no checkpoint, so from the start")
-    say(json, f"  written     {folder}: {listing(folder, files)}")
+    say(json, f"  written     {folder}: {listing(folder.path, files)}")
     answer(json, summary(result) | {"resumed_at": checkpoint.resumed_at, "files": files})
     if not result.done:
         raise RunError(f"{loaded.source}: {result.status}; the last good state is in {folder}")
@@ -91,13 +91,14 @@ def sweep(
 
     Writes sweep.csv and sweep.nc; ends with exit code 1 if no member could be solved.
     """
+    from hjprofile.output.folder import MEMBERS
     from hjprofile.output.sweep import account, report
     from hjprofile.output.sweep import sweep as run_sweep
     from hjprofile.output.workers import processes
-    from hjprofile.problem.case import find_case, read_choices
+    from hjprofile.problem.case import read_choices
 
     choices = read_choices(vary)
-    folder = out or Path("results") / find_case(case).stem
+    folder = folder_for((case,), out, keep=MEMBERS if resume else "").path
     with processes(workers) as executor, Progress("sweeping") as progress:
         result = run_sweep(case, choices, executor, folder, resume, progress)
     say(json, account(result))
@@ -118,19 +119,20 @@ def fit(
     """
     from hjprofile.evidence.calibration import fit as fit_case
     from hjprofile.output.fit_files import fit_account, fit_files, fit_report
-    from hjprofile.output.store import open_folder, write_whole
+    from hjprofile.output.plots.studies import fit_picture
+    from hjprofile.output.store import write_picture
     from hjprofile.problem.survey import read_survey
 
     folder, (loaded,) = load_cases((case,), out)
     x, height, _ = read_survey(after)
     found = fit_case(loaded.source, x, height, vary, sigma)
-    open_folder(folder)
-    files = fit_files(found)
-    for name, data in files.items():
-        write_whole(folder / name, data)
+    files = folder.open().write(fit_files(found))
+    picture = write_picture(folder, "fit.png", fit_picture, found)
+    files += picture.files
     say(json, fit_account(found))
-    say(json, f"  written     {folder}: {', '.join(files)}")
-    answer(json, fit_report(found) | {"files": [folder / name for name in files]})
+    lines = [f"  WARNING   {warning}" for warning in picture.warnings]
+    say(json, "\n".join([*lines, f"  written     {folder}: {listing(folder.path, files)}"]))
+    answer(json, fit_report(found) | {"files": files})
 
 
 @app.command

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from hjprofile.cli.common import CasePath, Json, Out, Progress, answer, app, load_cases, say
+from hjprofile.cli.common import CasePath, Json, Out, Progress, answer, app, listing, load_cases, say
 from hjprofile.errors import InputError, RunError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from hjprofile.evidence.chart import Point
+    from hjprofile.output.folder import ResultFolder
+    from hjprofile.output.store import Written
 
 
 @app.command
@@ -18,22 +22,21 @@ def check(*case: CasePath, out: Out = None, json: Json = False) -> None:
     Writes check.json; ends with exit code 1 if a comparison fails.
     """
     from hjprofile.evidence.consistency import check as check_case
-    from hjprofile.output.store import open_folder, to_json, write_whole
+    from hjprofile.output.store import to_json
 
     if not case:
         raise InputError("check needs at least one CASE: a TOML file or the name of a shipped case", "the-command-line")
     folder, loaded = load_cases(case, out)
-    open_folder(folder)
+    folder.open()
     verdicts = []
     for one in loaded:
         with Progress(f"checking {one.name}") as progress:
             verdicts.append(check_case(one, progress))
-        say(json, str(verdicts[-1]))
     failed = [v.case for v in verdicts if not v.passes]
     report = {"passes": not failed, "cases": [v.report() for v in verdicts]}
-    write_whole(folder / "check.json", to_json(report))
-    say(json, f"written to {folder / 'check.json'}")
-    answer(json, report | {"files": [folder / "check.json"]})
+    files = folder.write({"check.json": to_json(report)})
+    say(json, "\n".join([*map(str, verdicts), f"written to {files[0]}"]))
+    answer(json, report | {"files": files})
     if failed:
         raise RunError(f"the consistency test fails on {', '.join(failed)}; lines marked FAILS above say where")
 
@@ -47,26 +50,26 @@ def chart(*case: CasePath, out: Out = None, json: Json = False) -> None:
     from hjprofile.evidence.chart import Point, pareto
     from hjprofile.evidence.chart import chart as chart_case
     from hjprofile.output.plots.studies import chart_picture
-    from hjprofile.output.store import open_folder, to_csv, write_whole
+    from hjprofile.output.store import to_csv, write_picture
 
     if not case:
         raise InputError("chart needs at least one CASE: a TOML file or the name of a shipped case", "the-command-line")
     folder, loaded = load_cases(case, out)
-    open_folder(folder)
-    charts, reports = {}, []
+    folder.open()
+    charts, reports, lines = {}, [], []
     for one in loaded:
         with Progress(f"charting {one.name}") as progress:
             charts[one.name] = points, reference = chart_case(one.name, one.problem, one.grid, one.cfl, progress)
         known = f" (u to {reference.error:.1g})" if reference.error else ""
         best = pareto(points)
         head = f"{one.name}: {len(points)} runs against {reference.name}{known}. None beats in seconds and in error:"
-        say(json, "\n".join([head, *map(_point, best)]))
+        lines += [head, *map(_point, best)]
         found = {"case": one.name, "reference": reference.name, "reference_error": reference.error}
         reports.append(found | {"points": [p._asdict() for p in points], "pareto": [p._asdict() for p in best]})
-    write_whole(folder / "chart.csv", to_csv(Point._fields, [p for points, _ in charts.values() for p in points]))
-    write_whole(folder / "chart.png", chart_picture(charts))
-    say(json, f"written to {folder}: chart.csv, chart.png")
-    answer(json, {"cases": reports} | {"files": [folder / "chart.csv", folder / "chart.png"]})
+    files = folder.write({"chart.csv": to_csv(Point._fields, [p for points, _ in charts.values() for p in points])})
+    picture = write_picture(folder, "chart.png", chart_picture, charts)
+    say(json, "\n".join([*lines, _written(folder, files, picture)]))
+    answer(json, {"cases": reports, "files": files + picture.files})
 
 
 @app.command
@@ -78,26 +81,26 @@ def stability(case: CasePath, /, *, out: Out = None, json: Json = False) -> None
     from hjprofile.evidence.stability import Trial, measured_limit
     from hjprofile.evidence.stability import stability as scan
     from hjprofile.output.plots.studies import stability_picture
-    from hjprofile.output.store import open_folder, to_csv, write_whole
+    from hjprofile.output.store import to_csv, write_picture
 
     folder, (loaded,) = load_cases((case,), out)
-    open_folder(folder)
+    folder.open()
     with Progress(f"trying {loaded.name}") as progress:
         trials = scan(loaded.name, loaded.problem, loaded.grid, progress)
-    say(json, f"{loaded.name}: {len(trials)} trials. CFL number up to which a method holds (by theory):")
+    lines = [f"{loaded.name}: {len(trials)} trials. CFL number up to which a method holds (by theory):"]
     limits = {}
     for method, theory in {t.method: t.theory for t in trials if t.parameter == "cfl"}.items():
         low, high = measured_limit(trials, method)
         limits[method] = {"holds_at": low, "fails_at": high, "theory": theory}
         limit = f"{low:.4g} to {high:.4g}" if high < float("inf") else f"all up to {low:.4g}"
-        say(json, f"  {method:22} {limit:18} ({theory:.4g})")
-    write_whole(folder / "stability.csv", to_csv(Trial._fields[:-1], [t[:-1] for t in trials]))
-    write_whole(folder / "stability.png", stability_picture(trials))
-    say(json, f"written to {folder}: stability.csv, stability.png")
+        lines.append(f"  {method:22} {limit:18} ({theory:.4g})")
+    files = folder.write({"stability.csv": to_csv(Trial._fields[:-1], [t[:-1] for t in trials])})
+    picture = write_picture(folder, "stability.png", stability_picture, trials)
+    say(json, "\n".join([*lines, _written(folder, files, picture)]))
     answer(
         json,
         {"case": loaded.name, "limits": limits, "trials": [t._asdict() for t in trials]}
-        | {"files": [folder / "stability.csv", folder / "stability.png"]},
+        | {"files": files + picture.files},
     )
 
 
@@ -110,24 +113,29 @@ def dependence(case: CasePath, /, *, out: Out = None, json: Json = False) -> Non
     from hjprofile.evidence.dependence import Distance, summary
     from hjprofile.evidence.dependence import dependence as study
     from hjprofile.output.plots.studies import dependence_picture
-    from hjprofile.output.store import open_folder, to_csv, write_whole
+    from hjprofile.output.store import to_csv, write_picture
 
     folder, (loaded,) = load_cases((case,), out)
-    open_folder(folder)
+    folder.open()
     with Progress(f"disturbing {loaded.name}") as progress:
         distances = study(loaded.name, loaded.problem, loaded.grid, progress)
     sentences, failed = summary(distances)
+    files = folder.write({"dependence.csv": to_csv(Distance._fields, distances)})
+    picture = write_picture(folder, "dependence.png", dependence_picture, distances)
     say(json, "\n  ".join([f"{loaded.name}:", *sentences]))
-    write_whole(folder / "dependence.csv", to_csv(Distance._fields, distances))
-    write_whole(folder / "dependence.png", dependence_picture(distances))
-    say(json, f"written to {folder}: dependence.csv, dependence.png")
+    say(json, _written(folder, files, picture))
     answer(
         json,
-        {"case": loaded.name, "passes": not failed, "found": sentences}
-        | {"files": [folder / "dependence.csv", folder / "dependence.png"]},
+        {"case": loaded.name, "passes": not failed, "found": sentences, "files": files + picture.files},
     )
     if failed:
         raise RunError(f"{loaded.source}: {failed}")
+
+
+def _written(folder: ResultFolder, files: list[Path], picture: Written) -> str:
+    """The last line of an account, after a warning if the picture could not be drawn."""
+    lines = [f"WARNING: {warning}" for warning in picture.warnings]
+    return "\n".join([*lines, f"written to {folder}: {listing(folder.path, files + picture.files)}"])
 
 
 def _point(p: Point) -> str:

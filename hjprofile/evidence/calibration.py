@@ -16,6 +16,7 @@ import numpy as np
 
 from hjprofile.errors import InputError, RunError, by_last_part, did_you_mean
 from hjprofile.problem.case import Case, load_case, resolved_case
+from hjprofile.problem.erosion import located
 from hjprofile.problem.profiles import Units
 from hjprofile.solvers.fronts import heights_at_end
 from hjprofile.solvers.run import Array
@@ -183,7 +184,7 @@ class _Model:
         table["time"]["snapshots"] = snapshots
         for section in ("erosion", "profile"):
             if "file" in table[section]:
-                table[section]["file"] = str((Path(self.first.source).parent / table[section]["file"]).resolve())
+                table[section]["file"] = str(located(Path(self.first.source).parent, table[section]["file"]).resolve())
         return table
 
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import json
 import signal
 import threading
 import time
-import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +14,8 @@ import numpy as np
 
 import hjprofile
 from hjprofile.errors import InputError, RunError
-from hjprofile.output.store import write_whole
+from hjprofile.output.archive import pack, unpack
+from hjprofile.output.folder import write_whole
 from hjprofile.solvers.run import Array
 
 NAME = "checkpoint.npz"
@@ -29,8 +28,9 @@ class Checkpoint:
     Arrays and text only: reading one runs no code. With `resume` a run goes on from the one that is there.
     """
 
-    def __init__(self, folder: Path, interval: float, resume: bool):
-        self.path, self.interval, self.resume = folder / NAME, interval, resume
+    def __init__(self, folder: Path, interval: float, resume: bool, claim: Callable[[str], None] = lambda name: None):
+        """`claim` is called with the name of the checkpoint before one is written."""
+        self.path, self.interval, self.resume, self.claim = folder / NAME, interval, resume, claim
         self.resumed_at: float | None = None  # the time t from which the run went on
         self.asked = False
 
@@ -56,24 +56,14 @@ class Checkpoint:
             self.discard()
             return None
         try:
-            with np.load(self.path, allow_pickle=False) as file:
-                stored = {name: file[name] for name in file.files}
+            stored = unpack(self.path)
             theirs = json.loads(str(stored.pop("identity")))
             self.resumed_at = float(stored["pace.t"])
         except FileNotFoundError:
             return None
-        except (
-            OSError,
-            ValueError,
-            LookupError,
-            TypeError,
-            zipfile.BadZipFile,
-            EOFError,
-            NotImplementedError,
-        ) as error:
+        except (ValueError, LookupError, TypeError, AttributeError) as error:
             raise InputError(
-                f"{self.path} is damaged ({type(error).__name__}); run without --resume to start anew",
-                about="a-checkpoint",
+                f"{self.path} is damaged ({error}); run without --resume to start anew", about="a-checkpoint"
             ) from None
         for key in self.identity | theirs:
             mine, kept = self.identity.get(key), theirs.get(key)
@@ -94,9 +84,8 @@ class Checkpoint:
 
     def keep(self, t: float, memory: Mapping[str, Array]) -> None:
         """Raises RunError, when all is kept, if the run was asked to stop."""
-        buffer = io.BytesIO()
-        np.savez(buffer, **{**memory, "identity": np.array(json.dumps(self.identity))})  # type: ignore[arg-type]
-        write_whole(self.path, buffer.getvalue())
+        self.claim(NAME)
+        write_whole(self.path, pack({**memory, "identity": np.array(json.dumps(self.identity))}))
         self.last = time.monotonic()
         if self.asked:
             raise RunError(

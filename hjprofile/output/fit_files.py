@@ -11,14 +11,8 @@ from hjprofile.problem.case import to_toml
 
 
 def fit_files(found: Calibration) -> dict[str, bytes | str]:
-    """Name -> content: the numbers, the picture and the case with the fitted values."""
-    from hjprofile.output.plots.studies import fit_picture
-
-    return {
-        "fit.json": to_json(fit_report(found)),
-        "fit.png": fit_picture(found),
-        "fitted.toml": to_toml(found.case),
-    }
+    """Name -> content: the numbers, and the case with the fitted values."""
+    return {"fit.json": to_json(fit_report(found)), "fitted.toml": to_toml(found.case)}
 
 
 def fit_report(found: Calibration) -> dict[str, Any]:

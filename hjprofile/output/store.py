@@ -5,112 +5,140 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
-import re
-import tempfile
 import tomllib
-from collections.abc import Iterable
-from concurrent.futures import BrokenExecutor, Executor, ThreadPoolExecutor
+import warnings
+from collections.abc import Callable, Iterable
+from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import suppress
-from itertools import groupby
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 import hjprofile
 from hjprofile.errors import InputError
+from hjprofile.output.faults import fault_of
+from hjprofile.output.folder import ResultFolder, owner_of_run
+from hjprofile.problem.stored import read_profile
 from hjprofile.problem.units import Units
 from hjprofile.solvers.run import FIELDS, UNITS, Event, KinkRecord, Run, Verdict, VerticalStep
 
+_Row = TypeVar("_Row", KinkRecord, Event, VerticalStep)
+
 VTK_FOLDER = "vtk"
 STEPS_FILE = "vertical_steps.csv"
-_HALF = re.compile(r"\..+\.(nc|csv|json|toml|png|svg|gif|mp4|npz|pvd|vtp|vtr)\.\w{8}")  # as `write_whole` names them
-_PICTURES = ("profile", "diagram", "factor", "comparison")
-_STALE = (
-    STEPS_FILE, *(f"{name}.{form}" for name in _PICTURES for form in ("png", "svg")), "profile.gif", "profile.mp4",
-    "vtk/*.pvd", "vtk/*.vtp", "vtk/*.vtr",
+PICTURES = "profile", "diagram", "factor"
+LONGEST_REASON = 200  # characters of an exception in a caution
+# what comes of a run, beside what every run writes anew
+_OF_A_RUN = (
+    "summary.json", STEPS_FILE, *(f"{name}.{form}" for name in (*PICTURES, "comparison") for form in ("png", "svg")),
+    "*.gif", "*.mp4", f"{VTK_FOLDER}/*",
 )  # fmt: skip
 
 
-def write_whole(path: Path, data: bytes | str) -> None:
-    """Writes beside `path` and then replaces it, so that nobody ever sees half a file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with open(handle, "wb") as stream:
-            stream.write(data.encode() if isinstance(data, str) else data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.chmod(beside, 0o644)
-        os.replace(beside, path)
-    except BaseException as error:
-        Path(beside).unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            error.filename = str(path)  # a full disk does not say where
-        raise
+class Written(NamedTuple):
+    """The files of optional products, and a sentence for each that could not be made."""
 
-
-def open_folder(folder: Path) -> Path:
-    """Makes the folder, tries that it can be written to, and removes halves that a killed run left beside its files.
-
-    Raises OSError if it cannot be written to.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    for path in (*folder.glob(".*"), *(folder / VTK_FOLDER).glob(".*")):
-        if _HALF.fullmatch(path.name):
-            path.unlink(missing_ok=True)
-    with tempfile.TemporaryFile(dir=folder):
-        return folder
+    files: list[Path]
+    warnings: list[str]
 
 
 def write_run(
     run: Run, folder: str | Path, vtk: bool = True, plots: bool = True, helper: Executor | None = None
 ) -> list[Path]:
-    """Writes the whole result folder and returns its files; files of an earlier run there are replaced.
+    """Write the whole result folder and return its files; those of another case or an earlier run there are removed.
 
-    A helper draws the pictures while the other files are made.
+    A helper draws the pictures while the data are written. If a picture or the VTK files cannot be made, the data are
+    complete and a UserWarning says so.
+    """
+    place = ResultFolder(folder, owner_of_run(run.case)).open()
+    written, files = write_results(run, place, vtk, plots, helper)
+    for caution in written.cautions[len(run.cautions) :]:
+        warnings.warn(caution, stacklevel=2)
+    return files
+
+
+def write_results(
+    run: Run, place: ResultFolder, vtk: bool, plots: bool, helper: Executor | None
+) -> tuple[Run, list[Path]]:
+    """Write data and summary, then VTK files and pictures.
+
+    Returns the run, with a caution for each product that could not be made, and the files.
     """
     drawn = None
     if plots and helper:
         with suppress(BrokenExecutor):  # whoever is lost is done without
             drawn = helper.submit(_pictures, run)
-    files: dict[str, bytes | str] = {
+    data: dict[str, bytes | str] = {
         "profile.nc": netcdf(run),
         "kinks.csv": to_csv(KinkRecord._fields, run.kinks),
         "events.csv": to_csv(Event._fields, run.events),
     }
     if run.vertical_steps is not None:
-        files[STEPS_FILE] = to_csv(VerticalStep._fields, run.vertical_steps)
+        data[STEPS_FILE] = to_csv(VerticalStep._fields, run.vertical_steps)
+    place.remove(_OF_A_RUN)
+    place.claim(*data, "summary.json", *(f"{name}.png" for name in PICTURES if plots))
+    files = place.write(data)
+    end = place.write({"summary.json": to_json(summary(run))})  # after the data: a folder with a summary has them all
+    failures: list[str] = []
     if vtk:
-        from hjprofile.output.vtk import vtk_files
-
-        files |= {f"{VTK_FOLDER}/{name}": data for name, data in vtk_files(run).items()}
+        files += place.write(attempt(failures, "the VTK files could not be made", _vtk, run))
     if plots:
-        try:
-            files |= drawn.result() if drawn else _pictures(run)
-        except BrokenExecutor:
-            files |= _pictures(run)
-    files["summary.json"] = to_json(summary(run))  # last: a folder with a summary is complete
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "summary.json").unlink(missing_ok=True)
-    with ThreadPoolExecutor(8) as pool:
-        for is_vtk, group in groupby(files.items(), lambda file: file[0].startswith(VTK_FOLDER)):
-            # VTK's are many, and each waits for the disk; the others are written in their order
-            for _ in (pool.map if is_vtk else map)(lambda file: write_whole(folder / file[0], file[1]), group):
-                pass
-    for pattern in _STALE:
-        for path in folder.glob(pattern):
-            if path.relative_to(folder).as_posix() not in files:
-                path.unlink()
-    return [folder / name for name in files]
+        pictures, undrawn = _drawn(run, drawn)
+        files += place.write(pictures)
+        failures += undrawn
+    if failures:
+        run = replace(run, cautions=[*run.cautions, *failures])
+        end = place.write({"summary.json": to_json(summary(run))})
+    return run, files + end
 
 
-def _pictures(run: Run) -> dict[str, bytes | str]:
+def _drawn(run: Run, drawn: Future | None) -> tuple[dict[str, bytes | str], list[str]]:
+    """The pictures, by the helper or here, and a sentence for each that could not be drawn."""
+    try:
+        return drawn.result() if drawn else _pictures(run)
+    except Exception:  # the helper is lost, or the run could not be sent to it
+        return _pictures(run)
+
+
+def _pictures(run: Run) -> tuple[dict[str, bytes | str], list[str]]:
+    files: dict[str, bytes | str] = {}
+    failures: list[str] = []
+    for name in PICTURES:
+        files |= attempt(failures, f"{name}.png could not be drawn", _picture, run, name)
+    return files, failures
+
+
+def _picture(run: Run, name: str) -> dict[str, bytes | str]:
     from hjprofile.output.plots.runs import pictures
 
-    return pictures(run)
+    return pictures(run, names=(name,))
+
+
+def _vtk(run: Run) -> dict[str, bytes | str]:
+    from hjprofile.output.vtk import vtk_files
+
+    return {f"{VTK_FOLDER}/{name}": data for name, data in vtk_files(run).items()}
+
+
+def write_picture(place: ResultFolder, name: str, draw: Callable[..., bytes | str], *arguments: Any) -> Written:
+    """Write a picture of a study whose data are on disk."""
+    warnings: list[str] = []
+    files = attempt(warnings, f"{name} could not be drawn", lambda: {name: draw(*arguments)})
+    return Written(place.write(files), warnings)
+
+
+def attempt(
+    failures: list[str], failed: str, make: Callable[..., dict[str, bytes | str]], *arguments: Any
+) -> dict[str, bytes | str]:
+    """Return the files that `make` makes; if it fails, none, with one more sentence in `failures`."""
+    try:
+        return make(*arguments)
+    except Exception as error:  # no picture is worth the run
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:LONGEST_REASON]
+        failures.append(f"{failed} ({reason}); the data are complete")
+        return {}
 
 
 def netcdf(run: Run) -> bytes:
@@ -122,7 +150,8 @@ def netcdf(run: Run) -> bytes:
     for name, value in run.attributes.items():
         # scipy takes a str for ASCII, cannot store an empty one, and keeps a plain float in single precision
         setattr(file, name, (value or " ").encode() if isinstance(value, str) else np.float64(value))
-    for dimension, size in (("time", run.time.size), ("node", run.x.size), ("cell", run.x_cell.size)):
+    # a variable of fixed dimensions is limited to 2 GiB, one along the unlimited dimension to 2 GiB a saved time
+    for dimension, size in (("time", None), ("node", run.x.size), ("cell", run.x_cell.size)):
         file.createDimension(dimension, size)
     for name, (dimensions, attributes) in FIELDS.items():
         variable = file.createVariable(name, "f8", dimensions)
@@ -173,7 +202,7 @@ def summary(run: Run) -> dict[str, Any]:
     return content
 
 
-def to_json(content: Any) -> str:
+def to_json(content: Any, ascii_only: bool = False) -> str:
     """JSON text, with null for what is not a finite number and paths as text."""
 
     def plain(value: Any) -> Any:
@@ -187,7 +216,7 @@ def to_json(content: Any) -> str:
             return str(value)
         return None if isinstance(value, float) and not np.isfinite(value) else value
 
-    return json.dumps(plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return json.dumps(plain(content), indent=2, ensure_ascii=ascii_only, allow_nan=False) + "\n"
 
 
 def to_csv(header: Iterable[str], rows: Iterable[tuple]) -> str:
@@ -201,48 +230,29 @@ def to_csv(header: Iterable[str], rows: Iterable[tuple]) -> str:
 
 
 def load_run(folder: str | Path) -> Run:
-    """A run read back from its result folder. Raises InputError if there is none."""
-    from scipy.io import netcdf_file
-
+    """Return a run read back from its result folder. Raises InputError if there is none, or one that is damaged."""
     folder = Path(folder)
     try:
-        with netcdf_file(folder / "profile.nc", "r", mmap=False) as file:
-            arrays = {name: np.array(file.variables[name][:], dtype=float) for name in FIELDS}
-            text = {n: getattr(file, n).decode() for n in ("method", "case", "status")}
-            units = Units(*(float(getattr(file, n)) for n in UNITS)) if hasattr(file, UNITS[0]) else None
-        kinks = [
-            KinkRecord(**{n: int(v) if n == "kink" else float(v or "nan") for n, v in row.items()})  # type: ignore[arg-type]
-            for row in _read(folder, "kinks.csv")
-        ]
-        events = [
-            Event(float(r["time"]), r["event"], int(r["kink"]), int(r["into"]) if r["into"] else None, float(r["x"]))
-            for r in _read(folder, "events.csv")
-        ]
-        steps = None
-        if (folder / STEPS_FILE).exists():
-            steps = [
-                VerticalStep(**{n: int(v) if n == "step" else float(v) for n, v in row.items()})  # type: ignore[arg-type]
-                for row in _read(folder, STEPS_FILE)
-            ]
-        content = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-        broken = sum(not b["holds"] for b in content["bounds"].values())
-        return Run(
+        arrays, attributes = read_profile(folder / "profile.nc")
+        text = {name: attributes[name].decode() for name in ("method", "case", "status")}
+        units = Units(*(float(attributes[name]) for name in UNITS)) if UNITS[0] in attributes else None
+        content = json.loads((folder / "summary.json").read_text(encoding="utf-8"), parse_constant=_no_number)
+        bounds = {name: _verdict(table) for name, table in content["bounds"].items()}
+        cautions = len(content["warnings"]) - sum(not bound.holds for bound in bounds.values())
+        run = Run(
             title=content["title"], method=text["method"], case=tomllib.loads(text["case"]), **arrays,  # type: ignore[arg-type]
             status=text["status"], steps=content["steps"], wall_seconds=content["wall_seconds"],
             step_range=(_number(content["time_step"]["least"]), _number(content["time_step"]["largest"])),
-            kinks=kinks, events=events, vertical_steps=steps, eroded_volume=_number(content["eroded_volume"]),
-            outflow=_number(content["outflow"]), units=units,
-            bounds={
-                name: Verdict(
-                    b["holds"], _number(b["worst_margin"]), _number(b["time"]), _number(b["x"]), b["allowance"]
-                )
-                for name, b in content["bounds"].items()
-            },
-            volume_budget_error=_number((content["volume_budget"] or {}).get("difference")),
-            error_estimate=content.get("error_estimate"),
-            account=content.get("account", ""),
-            cautions=tuple(content["warnings"][: len(content["warnings"]) - broken]),  # before those of broken bounds
+            kinks=_table(folder, "kinks.csv", KinkRecord), events=_table(folder, "events.csv", Event),
+            vertical_steps=_table(folder, STEPS_FILE, VerticalStep) if (folder / STEPS_FILE).exists() else None,
+            eroded_volume=_number(content["eroded_volume"]), outflow=_number(content["outflow"]), units=units,
+            bounds=bounds, volume_budget_error=_number((content["volume_budget"] or {}).get("difference")),
+            error_estimate=content.get("error_estimate"), account=content.get("account", ""),
+            cautions=tuple(content["warnings"][:cautions]),  # the others belong to broken bounds
         )  # fmt: skip
+        if fault := fault_of(run, content):
+            raise ValueError(fault)
+        return run
     except FileNotFoundError as error:
         under = Path("results") / folder
         remedy = f"did you mean {under}?" if under.is_dir() else "`hjprofile run` writes them whole"
@@ -251,16 +261,47 @@ def load_run(folder: str | Path) -> Run:
     except NotADirectoryError:
         message = f"{folder} is not a readable result folder: it is a file; name the folder that `hjprofile run` wrote"
         raise InputError(message, about="a-result-folder") from None
-    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
-        message = f"{folder} is not a readable result folder: {type(error).__name__}: {error}; run the case again"
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError, OverflowError, csv.Error) as e:
+        named = "" if type(e) in (ValueError, InputError) else f"{type(e).__name__}: "
+        reason = " ".join(f"{named}{e}".split())[:LONGEST_REASON]
+        message = f"{folder} is not a readable result folder: {reason}; run the case again"
         raise InputError(message, about="a-result-folder") from None
+
+
+def _no_number(name: str) -> None:
+    raise ValueError(f"summary.json holds {name}, which is no JSON")
 
 
 def _number(value: float | None) -> float:
     """JSON has no NaN: `to_json` writes null for it."""
+    if isinstance(value, (str, bool)):
+        raise TypeError(f"summary.json holds {value!r} in the place of a number")
     return float("nan") if value is None else float(value)
 
 
-def _read(folder: Path, name: str) -> list[dict[str, str]]:
+def _verdict(table: dict[str, Any]) -> Verdict:
+    margin, time, x = (_number(table[name]) for name in ("worst_margin", "time", "x"))
+    return Verdict(table["holds"], margin, time, x, table["allowance"])
+
+
+_OF_COLUMN: dict[str, Callable[[str], Any]] = {
+    "event": str, "kink": int, "step": int, "into": lambda text: int(text) if text else None
+}  # fmt: skip
+
+
+def _table(folder: Path, name: str, kind: type[_Row]) -> list[_Row]:
+    """The rows of a table; a column that is not in _OF_COLUMN holds numbers, NaN where it is empty."""
     with open(folder / name, newline="", encoding="utf-8") as stream:
-        return list(csv.DictReader(stream))
+        reader = csv.DictReader(stream, strict=True)
+        rows = list(reader)
+    columns: Any = kind._fields  # type: ignore[attr-defined]
+    if reader.fieldnames != list(columns) or any(None in row or None in row.values() for row in rows):
+        raise ValueError(f"{name} must have the columns {', '.join(columns)}")
+    try:
+        return [kind(**{n: _OF_COLUMN.get(n, _float)(text) for n, text in row.items()}) for row in rows]
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+
+
+def _float(text: str) -> float:
+    return float(text or "nan")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -16,11 +15,15 @@ import numpy as np
 import hjprofile
 from hjprofile.errors import InputError, RunError
 from hjprofile.evidence.sweep import QUANTITIES, Member, Outcome, members, run_members, text_of
-from hjprofile.output.store import open_folder, to_csv, to_json, write_whole
+from hjprofile.output.archive import pack, unpack
+from hjprofile.output.folder import MEMBERS, ResultFolder, owner_of, write_whole
+from hjprofile.output.store import to_csv, to_json
+from hjprofile.problem.case import find_case
 from hjprofile.solvers.run import Array
 
 KEPT = "members"  # folder of what is done
 SHOWN = 14  # rows of the account
+LARGEST_VARIABLE = 2**31  # bytes of a netCDF-3 variable without an unlimited dimension, as scipy writes it
 _IN_ACCOUNT = ("eroded_volume", "outflow", "largest_lowering", "kinks_at_end")
 _COLUMNS = ("status", "method", *QUANTITIES, "broken_bounds", "wall_seconds")
 
@@ -34,7 +37,7 @@ class Sweep:
         vary: dotted key -> its values.
         values: for each member one value a key, in the order of the product: the last key varies fastest.
         outcomes: what came of each member, in the same order.
-        x: the nodes, if all members share them, else None.
+        x: the nodes, if all members share them and their heights fit in one netCDF variable, else None.
         recalled: how many members were taken from an earlier sweep.
     """
 
@@ -74,11 +77,14 @@ def sweep(
     choices = {key: _list(key, values) for key, values in vary.items()}
     made = members(case, choices)
     outcomes: dict[int, Outcome] = {i: Outcome(m.refused) for i, m in enumerate(made) if m.refused}
-    kept = open_folder(Path(folder) / KEPT) if folder is not None else None
+    place = kept = None
     recalled = 0
-    if kept:
+    if folder is not None:
+        place = ResultFolder(folder, owner_of([find_case(case)]), keep=MEMBERS if resume else "").open()
+        kept = place.path / KEPT
+        place.claim(MEMBERS, "sweep.csv", "sweep.nc")
         for name in ("sweep.csv", "sweep.nc"):
-            (kept.parent / name).unlink(missing_ok=True)
+            (place.path / name).unlink(missing_ok=True)
         if resume:
             found = {i: _recall(kept, m) for i, m in enumerate(made) if not m.refused}
             outcomes |= {i: outcome for i, outcome in found.items() if outcome}
@@ -103,11 +109,12 @@ def sweep(
     grids = {m.grid for m in made if m.grid}
     title = made[0].content.get("title", made[0].name)
     found_all = [outcomes[i] for i in range(len(made))]
-    x = grids.pop().nodes if len(grids) == 1 else None
+    fits = sum(m.grid.nodes.nbytes for m in made if m.grid) < LARGEST_VARIABLE
+    x = grids.pop().nodes if len(grids) == 1 and fits else None
     result = Sweep(made[0].name, title, choices, [m.values for m in made], found_all, x, recalled)
-    if kept:
-        write_whole(kept.parent / "sweep.nc", netcdf(result))
-        write_whole(kept.parent / "sweep.csv", to_csv([*choices, *_COLUMNS], _rows(result)))
+    if place:
+        table = to_csv([*choices, *_COLUMNS], _rows(result))
+        place.write({"sweep.nc": netcdf(result), "sweep.csv": table})
     return result
 
 
@@ -121,20 +128,21 @@ def _list(key: str, values: Any) -> list[Any]:
 
 def _keep(folder: Path, member: Member, outcome: Outcome) -> None:
     """Arrays and text only, as in a checkpoint: reading it runs no code."""
-    buffer = io.BytesIO()
-    content = outcome._replace(u=None)._asdict()
-    np.savez(buffer, u=outcome.u, outcome=np.array(to_json(content)))  # type: ignore[arg-type]
-    write_whole(folder / f"{member.identity}.npz", buffer.getvalue())
+    content = outcome._replace(u=None)._asdict() | {"identity": member.identity}
+    archive = pack({"u": np.asarray(outcome.u), "outcome": np.array(to_json(content))})
+    write_whole(folder / f"{member.identity}.npz", archive)
 
 
 def _recall(folder: Path, member: Member) -> Outcome | None:
     """What was kept of the same run; None if there is nothing that can be read: then it is run again."""
     try:
-        with np.load(folder / f"{member.identity}.npz", allow_pickle=False) as file:
-            content, u = json.loads(str(file["outcome"])), file["u"]
+        kept = unpack(folder / f"{member.identity}.npz")
+        content, u = json.loads(str(kept["outcome"])), kept["u"]
+        if content.pop("identity") != member.identity or member.grid is None or u.shape != member.grid.nodes.shape:
+            return None
         numbers = {name: _number(content["quantities"][name]) for name in QUANTITIES}
         return Outcome(**content | {"quantities": numbers, "u": u, "wall_seconds": _number(content["wall_seconds"])})
-    except (OSError, ValueError, LookupError, TypeError, zipfile.BadZipFile, EOFError, NotImplementedError):
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return None
 
 

@@ -71,7 +71,8 @@ def processes(workers: int | None) -> Iterator[Executor]:
 
 def _prepare(parent: int) -> None:
     _ward(parent)
-    import hjprofile.output.plots.runs  # noqa: F401
+    with suppress(Exception):  # who asks for a picture is told why there is none
+        import hjprofile.output.plots.runs  # noqa: F401
 
 
 def _ward(parent: int) -> None:

@@ -19,6 +19,7 @@ LAYER_METHOD = "conservative-telescoping"  # for its flux the bed loses exactly 
 CARRY_STEPS = "telescoping", "conservative-telescoping", "conservative", "fronts"
 LINES = "half", "whole"
 OFF_GRID = "fronts", "characteristics", "auto"
+LONGEST_TITLE = 500  # characters; a picture wraps them into a dozen lines
 MOST_REFRESHES = 1_000_000  # of a factor that is kept for a while, in a run
 
 
@@ -50,6 +51,8 @@ class Problem:
     line: str = "half"
 
     def __post_init__(self) -> None:
+        if len(self.title) > LONGEST_TITLE:
+            raise InputError(f"title has {len(self.title)} characters; at most {LONGEST_TITLE} are allowed")
         if not (np.isfinite(self.end) and self.end >= 0):
             raise InputError(f"end = {self.end} must be a number, 0 or more")
         if not (np.isfinite(self.thickness) and self.thickness >= 0):

@@ -15,7 +15,7 @@ import numpy as np
 import tomli_w
 
 from hjprofile.errors import InputError, did_you_mean
-from hjprofile.problem import Problem, coefficient, erosion, profiles
+from hjprofile.problem import LONGEST_TITLE, Problem, coefficient, erosion, profiles
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.survey import survey
 
@@ -183,7 +183,7 @@ _LAWS: dict[str, tuple[Callable, dict[str, tuple]]] = {
         {"expression": (_text,), "growth": (_text, None)},
     ),
     "python": (
-        lambda file, function, growth, base: erosion.from_file(base / file, function, file, growth),
+        lambda file, function, growth, base: erosion.from_file(erosion.located(base, file), function, file, growth),
         {"file": (_text,), "function": (_text,), "growth": (_text, None)},
     ),
 }
@@ -199,7 +199,8 @@ _PROFILES: dict[str, tuple[Callable, dict[str, tuple]]] = {
     ),
     "python": (
         lambda file, function, base: profiles.Given(
-            erosion.load_function(base / file, function), {"kind": "python", "file": file, "function": function}
+            erosion.load_function(erosion.located(base, file), function),
+            {"kind": "python", "file": file, "function": function},
         ),
         {"file": (_text,), "function": (_text,)},
     ),
@@ -208,7 +209,7 @@ _PROFILES: dict[str, tuple[Callable, dict[str, tuple]]] = {
 _COEFFICIENTS: dict[str, tuple[Callable, dict[str, tuple]]] = {
     "expression": (lambda expression: coefficient.coefficient(expression), {"expression": (_text,)}),
     "python": (
-        lambda file, function, base: coefficient.from_file(base / file, function, file),
+        lambda file, function, base: coefficient.from_file(erosion.located(base, file), function, file),
         {"file": (_text,), "function": (_text,)},
     ),
     "run": (coefficient.stored_coefficient, {"result": (_text,)}),
@@ -299,6 +300,8 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
     """A case from parsed TOML; paths in it are relative to `base`."""
     top = _Section(source, "", content)
     title = top.take("title", _text, name)
+    if len(title) > LONGEST_TITLE:
+        raise top.error(f"title has {len(title)} characters; at most {LONGEST_TITLE} are allowed")
     sections = {
         key: _Section(source, key, top.take(key, _table, {}))
         for key in ("erosion", "layer", "profile", "coefficient", "domain", "time", "solver", "output")
@@ -391,7 +394,7 @@ def shipped_cases() -> dict[str, Path]:
 
 def find_case(case: str | Path) -> Path:
     """The file of a case given by its path or by the name of a shipped one."""
-    path = Path(case)
+    path = erosion.located(Path(), case)
     try:
         if path.is_file():
             return path

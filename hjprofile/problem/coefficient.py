@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from hjprofile.errors import InputError, RunError
-from hjprofile.problem.erosion import load_function
+from hjprofile.problem.erosion import load_function, located
 from hjprofile.problem.expressions import arithmetic
+from hjprofile.problem.stored import read_profile
 
 Array = np.ndarray
 
@@ -100,18 +101,16 @@ def stored_coefficient(result: str | Path, base: Path = Path()) -> Coefficient:
 
     ln K is linear in t and in x between the saved times and the nodes. Raises InputError if there is no such run.
     """
-    from scipy.io import netcdf_file
-
-    path = base / result / "profile.nc"
+    path = located(base, result) / "profile.nc"
     try:
-        with netcdf_file(path, "r", mmap=False) as file:
-            time, x, K = (np.array(file.variables[name][:], dtype=float) for name in ("time", "x", "K"))
+        arrays, _ = read_profile(path)
     except OSError as error:
         why = error.strerror or error
         raise InputError(f"result = {str(result)!r} is not a result folder: {path} cannot be read: {why}") from None
-    except (ValueError, LookupError, TypeError, AttributeError) as error:
-        raise InputError(f"result = {str(result)!r}: {path} is not a stored run: {type(error).__name__}") from None
-    if K.shape != (time.size, x.size) or not time.size or x.size < 2 or not np.all(K > 0.0):
+    except ValueError as error:
+        raise InputError(f"result = {str(result)!r}: {path.parent} is not a stored run: {error}") from None
+    time, x, K = arrays["time"], arrays["x"], arrays["K"]
+    if not np.all(K > 0.0):
         raise InputError(f"result = {str(result)!r} holds no positive K at its saved times and nodes")
     if time[0] > 0.0:
         raise InputError(f"result = {str(result)!r} begins at t = {time[0]:g}; K is needed from t = 0 on")

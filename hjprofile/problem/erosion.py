@@ -231,6 +231,14 @@ def from_file(path: Path, function: str, file: str | None = None, growth: str | 
     return erosion_law(f, table={"law": "python", "file": file or str(path), "function": function}, growth=growth)
 
 
+def located(base: Path, file: str | Path) -> Path:
+    """The path of a file that a case names, relative to the folder `base`; ~ is the home folder."""
+    path = Path(file)
+    with suppress(RuntimeError):  # there is no such home
+        path = path.expanduser()
+    return base / path
+
+
 def require_file(path: Path) -> None:
     """Raises InputError unless `path` is a file; a folder has nothing to read, a pipe or a device may have no end."""
     try:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hjprofile.errors import InputError
-from hjprofile.problem.erosion import Array, require_file
+from hjprofile.problem.erosion import Array, located, require_file
 from hjprofile.problem.profiles import Points, Profile
 from hjprofile.problem.units import Units
 
@@ -40,7 +40,7 @@ def survey(
             raise InputError(f"{name} = {value} must be a positive number", ABOUT)
     if repair not in (None, "isotonic"):
         raise InputError(f"repair = {repair!r} is not known; allowed is 'isotonic'", ABOUT)
-    path = (base or Path()) / file
+    path = located(base or Path(), file)
     x, height, rows = read_survey(path)
     account = ""
     least = REPAIR_SLOPE * critical_slope if repair else 0.0

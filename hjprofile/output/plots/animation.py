@@ -28,6 +28,7 @@ COLOURS = 64  # of a GIF
 FORMS = ".gif", ".mp4"
 
 
+@styled
 def animation(run: Run, form: str, fps: float = FPS, progress: Callable[[float], None] = lambda _: None) -> bytes:
     """The saved times as a ".gif" or an ".mp4", `fps` of them a second. `progress` is told how much is done.
 

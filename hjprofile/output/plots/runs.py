@@ -33,9 +33,12 @@ TRACED = 14, 8  # characteristics that end at the last time, and at the top
 LEAST_CHANGE = 1e-9  # of the relief: what is less is rounding
 
 
-def pictures(run: Run, forms: Iterable[str] = ("png",)) -> dict[str, bytes | str]:
-    """Name -> file of every picture of a run, in each form: "png" or "svg"."""
-    drawings = {"profile": draw_profiles(run), "diagram": draw_diagram(run), "factor": draw_factor(run)}
+def pictures(
+    run: Run, forms: Iterable[str] = ("png",), names: Iterable[str] = ("profile", "diagram", "factor")
+) -> dict[str, bytes | str]:
+    """Name -> file of these pictures of a run, in each form: "png" or "svg"."""
+    draw = {"profile": draw_profiles, "diagram": draw_diagram, "factor": draw_factor}
+    drawings = {name: draw[name](run) for name in names}
     return {f"{name}.{form}": style.encode(figure, form) for name, figure in drawings.items() for form in forms}
 
 

@@ -30,11 +30,13 @@ _LOOKS = {
 }
 
 
+@style.defaults
 def chart_picture(charts: Mapping[str, tuple[Sequence[Point], Reference]]) -> bytes:
     """PNG of `draw_chart`."""
     return png(draw_chart(charts))
 
 
+@style.defaults
 def draw_chart(charts: Mapping[str, tuple[Sequence[Point], Reference]]) -> Figure:
     """Error against seconds, a row for each case: sup|u| on the left, ∫|q| on the right with its Pareto front."""
     figure = new_figure(10.0, 4.6 * len(charts))
@@ -62,7 +64,7 @@ def draw_chart(charts: Mapping[str, tuple[Sequence[Point], Reference]]) -> Figur
             [p.seconds for p in front], [max(p.error_q_l1, 1e-16) for p in front],
             where="post", color="0.25", lw=4.0, alpha=0.25, marker="o", ms=9, label="Pareto front",
         )  # fmt: skip
-        row[0].set_title(case, loc="left", fontweight="bold")
+        row[0].set_title(case, loc="left", fontweight="bold", parse_math=False)
         against = f"against {reference.name}"
         if reference.error > 0.0:
             against += f", u to {reference.error:.0e} (dashed)"
@@ -84,11 +86,13 @@ _AXES = {  # parameter -> title, logarithmic
 }
 
 
+@style.defaults
 def stability_picture(trials: Sequence[Trial]) -> bytes:
     """PNG of `draw_stability`."""
     return png(draw_stability(trials))
 
 
+@style.defaults
 def draw_stability(trials: Sequence[Trial]) -> Figure:
     """A panel for each parameter, a row for each method, a mark for each outcome; theory's limit as a line."""
     panels: dict[str, list[Trial]] = {}
@@ -144,10 +148,13 @@ def draw_stability(trials: Sequence[Trial]) -> Figure:
     key.plot([], [], color="0.3", lw=1.2, label="limit by theory (for any data; lax-friedrichs: 2/3 on rough ones)")
     key.plot([], [], color="0.3", lw=1.2, ls=":", label="α = Δx/Δt")
     key.legend(loc="center", fontsize=9, frameon=False)
-    figure.suptitle(f"Where methods hold and where they fail: {trials[0].case}", fontsize=12, x=0.01, ha="left")
+    figure.suptitle(
+        f"Where methods hold and where they fail: {trials[0].case}", fontsize=12, x=0.01, ha="left", parse_math=False
+    )
     return figure
 
 
+@style.defaults
 def dependence_picture(distances: Sequence[Distance]) -> bytes:
     """PNG of `draw_dependence`."""
     return png(draw_dependence(distances))
@@ -156,6 +163,7 @@ def dependence_picture(distances: Sequence[Distance]) -> bytes:
 _SHADES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9")  # of sizes
 
 
+@style.defaults
 def draw_dependence(distances: Sequence[Distance]) -> Figure:
     """A panel for each study: distances over time, and for what converges the last ones over size."""
     studies: dict[str, list[Distance]] = {}
@@ -207,7 +215,7 @@ def draw_dependence(distances: Sequence[Distance]) -> Figure:
         panel.grid(alpha=0.25, lw=0.5)
     for panel in axes.values():
         panel.legend(fontsize=8, frameon=False)
-    figure.suptitle(f"Continuous dependence: {distances[0].case}", fontsize=12, x=0.01, ha="left")
+    figure.suptitle(f"Continuous dependence: {distances[0].case}", fontsize=12, x=0.01, ha="left", parse_math=False)
     return figure
 
 

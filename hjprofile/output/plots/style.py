@@ -6,12 +6,16 @@ Pictures of runs are WIDTH wide in letters of FONT points: in a journal's column
 from __future__ import annotations
 
 import io
+import logging
 import textwrap
-from collections.abc import Callable, Sequence
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps, rc_context
+from matplotlib import colormaps, rcParams, rcParamsDefault
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -51,10 +55,32 @@ _LETTERS: Any = {
     "ytick.major.width": 0.6,
     "svg.fonttype": "none",  # text remains text, to be found and edited
     "svg.hashsalt": "hjprofile",  # else names inside the file change from run to run
+    "text.parse_math": False,  # a title with two $ is no formula
 }
+_DEFAULTS: Any = {name: value for name, value in rcParamsDefault.items() if name != "backend"}
+_DRAWING = threading.RLock()  # matplotlib has one set of parameters for the whole process
 
 
-styled = rc_context(_LETTERS)  # decorates what draws pictures of runs
+@contextmanager
+def _settings(own: Any) -> Iterator[None]:
+    """Draw with matplotlib's defaults and these settings, and leave the user's parameters exactly as they were."""
+    logger = logging.getLogger("matplotlib")
+    with _DRAWING, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)  # the letter is drawn as a box
+        users: Any = {name: value for name, value in rcParams.copy().items() if name != "backend"}
+        level = logger.level
+        try:
+            logger.setLevel(logging.ERROR)
+            dict.update(rcParams, _DEFAULTS)
+            rcParams.update(own)
+            yield
+        finally:
+            dict.update(rcParams, users)
+            logger.setLevel(level)
+
+
+styled = _settings(_LETTERS)  # decorates what draws pictures of runs
+defaults = _settings({})  # ... and of studies
 
 
 def png(figure: Figure, dpi: int = 150) -> bytes:

@@ -1,0 +1,210 @@
+"""A folder for results: the case to which it belongs, and files that appear in it whole or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from fnmatch import fnmatchcase
+from itertools import groupby
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hjprofile.errors import InputError
+from hjprofile.problem.case import read_case
+from hjprofile.problem.erosion import located
+
+RECORD = ".hjprofile.json"  # in the folder: its owner, and the names of the files that hjprofile wrote there
+INSIDE = ("vtk", "members")  # folders inside it
+_FORMS = "nc|csv|json|toml|png|svg|gif|mp4|npz|pvd|vtp|vtr"
+_HALF = re.compile(rf"\..+\.({_FORMS})\.\w{{8}}")  # as `write_whole` names them
+MEMBERS = "members/*.npz"  # they identify their runs themselves
+# what a record may list: nothing else is removed, whoever wrote the record
+_NAME = re.compile(rf"{re.escape(MEMBERS)}|(vtk/)?\w[\w.+-]*\.({_FORMS})")
+_ABOUT = "a-folder-of-another-case"
+
+
+class Owner(NamedTuple):
+    """The case to which the files of a folder belong.
+
+    Attributes:
+        cases: the absolute paths of its case files; none of a run that was made in Python.
+        fingerprint: a hash of the content of the case and of the files that it names.
+    """
+
+    cases: tuple[str, ...]
+    fingerprint: str
+
+    def __str__(self) -> str:
+        return " and ".join(self.cases) or "a run that was written from Python"
+
+
+def owner_of(cases: Sequence[Path]) -> Owner:
+    """The owner of what is computed from these case files. Raises InputError if one cannot be read.
+
+    The sections [output] and [expect] change no result.
+    """
+    digest = hashlib.sha256()
+    for path in cases:
+        content = {name: table for name, table in read_case(path).items() if name not in ("output", "expect")}
+        digest.update(_stable(content))
+        for table in content.values():
+            named = table if isinstance(table, Mapping) else {}
+            for file in (named.get("file"), named.get("result")):
+                if isinstance(file, str):
+                    digest.update(_bytes_of(located(path.parent, file)))
+    return Owner(tuple(str(path.resolve()) for path in cases), digest.hexdigest())
+
+
+def owner_of_run(case: Mapping[str, Any]) -> Owner:
+    """The owner of a run that was made in Python, by its resolved case."""
+    return Owner((), hashlib.sha256(_stable(case)).hexdigest())
+
+
+def _stable(content: Mapping[str, Any]) -> bytes:
+    try:
+        return json.dumps(content, sort_keys=True, default=str).encode()
+    except (ValueError, RecursionError):  # a number of thousands of digits, deep nesting: the command refuses it
+        return b""
+
+
+def _bytes_of(path: Path) -> bytes:
+    """The content of a file, or of the stored run in a result folder; nothing if there is none."""
+    with suppress(OSError, ValueError):  # the command that needs the file reports it
+        return (path / "profile.nc" if path.is_dir() else path).read_bytes()
+    return b""
+
+
+class _Record(NamedTuple):
+    owner: Owner
+    files: frozenset[str]
+
+
+def _recorded(folder: Path) -> _Record | None:
+    """The record of a folder; None if there is none, or none that can be read."""
+    try:
+        content = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        owner = Owner(tuple(map(str, content["cases"])), str(content["fingerprint"]))
+        return _Record(owner, frozenset(name for name in content["files"] if _NAME.fullmatch(name)))
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return None
+
+
+class ResultFolder:
+    """A folder that belongs to one case: files of another one are refused, or removed before the first is written.
+
+    Only files that the record of the folder lists are removed.
+    """
+
+    def __init__(self, path: str | Path, owner: Owner, replace: bool = True, keep: str = ""):
+        """`keep` is a file, or a pattern of files, that identifies its run itself and stays in any case.
+
+        Raises InputError, unless `replace`, if the folder belongs to another case file with another content.
+        """
+        self.path, self.owner = Path(path), owner
+        self.files, self.stale = frozenset[str](), frozenset[str]()
+        found = _recorded(self.path)
+        if found is None:
+            return
+        if found.owner.fingerprint == owner.fingerprint:
+            self.files = found.files
+        elif replace or found.owner.cases == owner.cases:
+            self.files = found.files & {keep}
+            self.stale = found.files - {keep}
+        else:
+            raise InputError(
+                f"{path} belongs to {found.owner}, not to {owner}; name another folder with --out, or delete this one",
+                _ABOUT,
+            )
+
+    def __str__(self) -> str:
+        return str(self.path)
+
+    def open(self) -> ResultFolder:
+        """Make the folder, check that it can be written to, and remove halves that a killed run left in it.
+
+        Raises OSError if it cannot be written to.
+        """
+        self.path.mkdir(parents=True, exist_ok=True)
+        for path in (p for folder in ("", *INSIDE) for p in (self.path / folder).glob(".*")):
+            if _HALF.fullmatch(path.name):
+                path.unlink(missing_ok=True)
+        with tempfile.TemporaryFile(dir=self.path):
+            return self
+
+    def claim(self, *names: str) -> None:
+        """Remove the files of another case, and record that these names, or patterns, belong to this one."""
+        for name in self.stale:
+            self._delete(name)
+        if self.stale or not self.files.issuperset(names) or not (self.path / RECORD).exists():
+            now = _recorded(self.path)  # another command on the same case may have written meanwhile
+            theirs = now.files if now and now.owner.fingerprint == self.owner.fingerprint else frozenset[str]()
+            self.stale, self.files = frozenset(), self.files | theirs | set(names)
+            self._write_record()
+
+    def write(self, files: Mapping[str, bytes | str]) -> list[Path]:
+        """Write files, name -> content, each whole or not at all, in their order; those of `INSIDE` at once."""
+        self.claim(*files)
+        with ThreadPoolExecutor(8) as pool:
+            for inside, group in groupby(files.items(), lambda file: "/" in file[0]):
+                # those inside are many, and each waits for the disk
+                for _ in (pool.map if inside else map)(lambda file: write_whole(self.path / file[0], file[1]), group):
+                    pass
+        return [self.path / name for name in files]
+
+    def remove(self, patterns: Iterable[str]) -> None:
+        """Remove those recorded files whose names match."""
+        gone = {name for name in self.files for pattern in patterns if fnmatchcase(name, pattern)}
+        for name in gone:
+            self._delete(name)
+        if gone:
+            self.files -= gone
+            self._write_record()
+
+    def _delete(self, name: str) -> None:
+        for path in self.path.glob(name):
+            path.unlink(missing_ok=True)
+        with suppress(OSError):  # it holds other files
+            if "/" in name:
+                (self.path / name).parent.rmdir()
+
+    def _write_record(self) -> None:
+        content = {"cases": self.owner.cases, "fingerprint": self.owner.fingerprint, "files": sorted(self.files)}
+        write_whole(self.path / RECORD, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
+
+
+def add_files(result: Path, folder: Path, files: Mapping[str, bytes | str]) -> list[Path]:
+    """Write what was made from a stored run into its own folder `result`, or into another one that is no other case's.
+
+    Raises InputError if `folder` belongs to another case.
+    """
+    mine, there = _recorded(result), _recorded(folder)
+    if there is not None:
+        owner = mine.owner if mine else Owner((str(result),), "")
+        return ResultFolder(folder, owner, replace=False).open().write(files)
+    for name, data in files.items():
+        write_whole(folder / name, data)
+    return [folder / name for name in files]
+
+
+def write_whole(path: Path, data: bytes | str) -> None:
+    """Write beside `path` and then replace it, so that nobody ever sees half a file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with open(handle, "wb") as stream:
+            stream.write(data.encode() if isinstance(data, str) else data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.chmod(beside, 0o644)
+        os.replace(beside, path)
+    except BaseException as error:
+        Path(beside).unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            error.filename = str(path)  # a full disk does not say where
+        raise
