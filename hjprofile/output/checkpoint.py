@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-import hjprofile
 from hjprofile.errors import InputError, RunError
 from hjprofile.output.store import write_whole
 from hjprofile.solvers.run import Array
@@ -51,7 +50,7 @@ class Checkpoint:
 
     def recall(self, identity: Mapping[str, Any]) -> Mapping[str, Array] | None:
         """Raises InputError if there is a checkpoint to go on from that is damaged, or of another run."""
-        self.identity = dict(_flat({**identity, "hjprofile": hjprofile.__version__}))
+        self.identity = dict(_flat(identity))
         if not self.resume:
             self.discard()
             return None

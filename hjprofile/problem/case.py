@@ -198,9 +198,7 @@ _PROFILES: dict[str, tuple[Callable, dict[str, tuple]]] = {
         {"file": (_text,), "critical_slope": (_positive,), "length": (_positive,), "repair": (_text, None)},
     ),
     "python": (
-        lambda file, function, base: profiles.Given(
-            erosion.load_function(base / file, function), {"kind": "python", "file": file, "function": function}
-        ),
+        lambda file, function, base: profiles.from_file(base / file, function, file),
         {"file": (_text,), "function": (_text,)},
     ),
 }

@@ -6,9 +6,7 @@ growth "linear" instead of the last has f' -> η0 > 0: slopes then become infini
 
 from __future__ import annotations
 
-import importlib.util
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,17 +15,16 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import Chebyshev
 
-from hjprofile.errors import InputError, did_you_mean
+from hjprofile.errors import InputError
 from hjprofile.problem.expressions import arithmetic
+from hjprofile.problem.python_files import Function, load_function
 
 Array = np.ndarray
-Function = Callable[[Any], Any]
 
 NEAR_ZERO = (
     0.05  # |q| below which q/f(q) is read from a polynomial: there f may be a difference of numbers of order one
 )
-# headings of the page on errors
-UNREADABLE, PYTHON, NO_LAW = "a-file-that-cannot-be-read", "a-python-file", "what-a-law-must-be"
+NO_LAW = "what-a-law-must-be"  # heading of the page on errors
 LINEAR = "linear"  # the growth of a law outside [eq:f]
 FAR = 1e100, 1e50, 1e30, 1e15  # slopes at which f' is looked for its limit: the largest where f is finite, and the next
 FARTHEST = 1e5  # slopes beyond which f - q f' of a law of linear growth is taken as constant
@@ -58,6 +55,7 @@ class ErosionLaw:
         table: the `[erosion]` table of a case file that makes this law again.
         closed_inverse: f⁻¹ where it is known in closed form.
         eta0: η0 = lim f' as q -> ∞: 0 for the laws of [eq:f], positive for those of linear growth.
+        content: a hash of the file that holds f; "" where `table` holds everything; None for a function of no file.
     """
 
     f: Function
@@ -65,6 +63,7 @@ class ErosionLaw:
     table: Mapping[str, Any] = field(default_factory=dict)
     closed_inverse: Function | None = None
     eta0: float = 0.0
+    content: str | None = None
 
     @property
     def grows_linearly(self) -> bool:
@@ -159,6 +158,7 @@ def rational() -> ErosionLaw:
         derivative=lambda q: 1.0 / np.square(1.0 + q),
         table={"law": "rational"},
         closed_inverse=lambda y: np.where(y < 1.0, y / np.where(y < 1.0, 1.0 - y, 1.0), np.nan),
+        content="",
     )
 
 
@@ -169,6 +169,7 @@ def log() -> ErosionLaw:
         derivative=lambda q: 1.0 / (1.0 + q),
         table={"law": "log"},
         closed_inverse=np.expm1,
+        content="",
     )
 
 
@@ -189,6 +190,7 @@ def power(m: float) -> ErosionLaw:
         derivative=lambda q: np.exp(-(m + 1.0) * np.log1p(q)),
         table={"law": "power", "m": float(m)},
         closed_inverse=inverse,
+        content="",
     )
 
 
@@ -198,7 +200,7 @@ def expression(text: str, growth: str | None = None) -> ErosionLaw:
     Raises InputError for anything else, and for a law that breaks an assumption. `growth` as in `erosion_law`.
     """
     table = {"law": "expression", "expression": text.strip()}
-    return erosion_law(arithmetic(text, "q").value, table=table, growth=growth)
+    return replace(erosion_law(arithmetic(text, "q").value, table=table, growth=growth), content="")
 
 
 def erosion_law(
@@ -227,39 +229,9 @@ def erosion_law(
 
 def from_file(path: Path, function: str, file: str | None = None, growth: str | None = None) -> ErosionLaw:
     """A law from the function of that name in a Python file, which is run; `growth` as in `erosion_law`."""
-    f = load_function(path, function)
-    return erosion_law(f, table={"law": "python", "file": file or str(path), "function": function}, growth=growth)
-
-
-def require_file(path: Path) -> None:
-    """Raises InputError unless `path` is a file; a folder has nothing to read, a pipe or a device may have no end."""
-    try:
-        there = path.is_file()
-    except OSError as error:  # a name too long, a folder that may not be entered
-        raise InputError(f"file = {str(path)!r} cannot be read: {error.strerror}", UNREADABLE) from None
-    if not there:
-        beside: list[str] = []
-        with suppress(OSError, ValueError, NotImplementedError):  # no such folder, one that may not be entered, a NUL
-            beside = [other.name for other in path.parent.glob(f"*{path.suffix}") if other.is_file()]
-        hint = did_you_mean(path.name, beside)
-        raise InputError(f"file = {str(path)!r} does not exist, or is not a file{hint}", UNREADABLE)
-
-
-def load_function(path: Path, function: str) -> Function:
-    """The function of that name in a Python file. Running the file runs its author's code."""
-    require_file(path)
-    spec = importlib.util.spec_from_file_location(f"hjprofile_user_{path.stem}", path)
-    if spec is None or spec.loader is None:
-        raise InputError(f"file = {str(path)!r} is not a Python file (.py)", PYTHON)
-    module = importlib.util.module_from_spec(spec)
-    try:
-        spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:
-        raise InputError(f"file = {str(path)!r} could not be run: {type(error).__name__}: {error}", PYTHON) from error
-    f = getattr(module, function, None)
-    if not callable(f):
-        raise InputError(f"function = {function!r} is not defined in {path.name}", PYTHON)
-    return f
+    loaded = load_function(path, function)
+    table = {"law": "python", "file": file or str(path), "function": function}
+    return replace(erosion_law(loaded.function, table=table, growth=growth), content=loaded.content)
 
 
 def _over_arrays(f: Function) -> Function:
