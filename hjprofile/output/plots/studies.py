@@ -192,6 +192,11 @@ def draw_dependence(distances: Sequence[Distance]) -> Figure:
     }
     for study, (title, label) in names.items():
         panel = axes[study]
+        panel.set_title(title, loc="left", fontsize=10)
+        if study not in studies:
+            panel.text(0.5, 0.5, "none: the coefficient does not change", ha="center", transform=panel.transAxes)
+            panel.set_axis_off()
+            continue
         size, largest = np.array(list(largest_distances(distances, study).values())).T
         least = size == size.min()
         for each in largest.reshape(-1, least.sum()).T:
@@ -202,11 +207,11 @@ def draw_dependence(distances: Sequence[Distance]) -> Figure:
         panel.loglog(size, largest[least].mean() * size / size.min(), color="0.3", lw=1.2, ls="--", label="first order")
         panel.set_xticks(np.unique(size), [f"{value:.3g}" for value in np.unique(size)])
         panel.xaxis.set_minor_formatter(NullFormatter())
-        panel.set_title(title, loc="left", fontsize=10)
         panel.set_xlabel(label)
         panel.grid(alpha=0.25, lw=0.5)
     for panel in axes.values():
-        panel.legend(fontsize=8, frameon=False)
+        if panel.lines:
+            panel.legend(fontsize=8, frameon=False)
     figure.suptitle(f"Continuous dependence: {distances[0].case}", fontsize=12, x=0.01, ha="left")
     return figure
 
