@@ -145,7 +145,7 @@ def draw_stability(trials: Sequence[Trial]) -> Figure:
     }
     for outcome, (colour, marker) in _OUTCOMES.items():
         key.plot([], [], marker, color=colour, ms=6, mew=0, label=names[outcome])
-    key.plot([], [], color="0.3", lw=1.2, label="limit by theory (for any data; lax-friedrichs: 2/3 on rough ones)")
+    key.plot([], [], color="0.3", lw=1.2, label="limit by theory, for any data")
     key.plot([], [], color="0.3", lw=1.2, ls=":", label="α = Δx/Δt")
     key.legend(loc="center", fontsize=9, frameon=False)
     figure.suptitle(f"Where methods hold and where they fail: {trials[0].case}", fontsize=12, x=0.01, ha="left")
