@@ -98,6 +98,13 @@ def test_slow_erosion_is_approached_at_first_order(profile, end):
     assert last[1] == pytest.approx(last[0], rel=0.03)  # measured 0.2 to 2.6 %: the distance is not the grid's
 
 
+def test_the_departure_is_that_of_all_saved_times():
+    """At the end the kink has left below either, and both slopes are critical."""
+    problem = hj.Problem(hj.rational(), hj.kinks([-1.0], [0.5]), end=4.0, snapshots=9)
+    limit, thin = hj.slow_erosion(problem, hj.Grid(-2.0, 100), [0.1])
+    assert limit.slope_l1 == 0.0 and thin.slope_l1 > 0.02
+
+
 @pytest.mark.parametrize("profile", [T2, KINK], ids=["smooth", "kink"])
 def test_a_vanishing_layer_is_the_limit_step_for_step(profile):
     """With ε = 1e-14 each step is that of the telescoping scheme for [eq1]; with 1e-300 too, as nothing is divided."""

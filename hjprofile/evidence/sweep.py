@@ -33,7 +33,7 @@ QUANTITIES = {  # name -> what it is
     "largest_rise": "largest u(end,x) - u(0,x)",
     "q_min": "least excess slope at the end, mean over a cell",
     "q_max": "largest excess slope at the end, mean over a cell",
-    "K_foot": "nonlocal factor at the left end at the end: thickening of the avalanche",
+    "K_foot": "nonlocal factor at the left end at the end: flux of grains over what is poured in",
     "kinks_at_end": "kinks at the end",
     "births": "births of kinks",
     "merges": "merges of kinks",

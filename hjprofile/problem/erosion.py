@@ -1,4 +1,4 @@
-"""Erosion laws f(q): how fast an avalanche of unit thickness erodes a slope of excess q = u_x - 1.
+"""Erosion laws f(q): how much a unit flux of grains erodes a slope of excess q = u_x - 1.
 
 Assumptions [eq:f]: f in C², f(0) = 0, f' > 0, f'' < 0, f -> -∞ as q -> -1, f(q)/q -> 0 as q -> ∞. A law with
 growth "linear" instead of the last has f' -> η0 > 0: slopes then become infinite, and the profile jumps (theory, §14).
