@@ -414,6 +414,14 @@ def test_an_edited_file_is_another_case(in_tmp, ran, file, before, after, change
     assert netcdf(hj.sweep(case, vary, folder="out", resume=True)) == netcdf(old)
 
 
+def test_what_a_python_file_reads_is_seen_in_its_values(in_tmp, ran):
+    Path("k.py").write_text("import numpy as np\n\ndef k(t, x):\n    return 1 + np.loadtxt('k.txt') * t + 0 * x\n")
+    case = write_case(in_tmp, coefficient={"kind": "python", "file": "k.py", "function": "k"})
+    for number, recalled in ((0.5, 0), (0.5, 1), (0.7, 0)):
+        Path("k.txt").write_text(f"{number}")
+        assert hj.sweep(case, {"time.end": [0.5]}, folder="out", resume=True).recalled == recalled
+
+
 def test_a_stored_run_that_changed_is_another_case(in_tmp, ran):
     law = hj.rational()
     for k, recalled in (("1", 0), ("1 + t*(0.5 - t)", 0), ("1 + t*(0.5 - t)", 1)):  # alike at t = 0 and at the end

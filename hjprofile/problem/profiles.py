@@ -251,7 +251,8 @@ class Points(Profile):
 
     @property
     def content(self) -> str:
-        return hashlib.sha256(self.x.tobytes() + self.q.tobytes() + np.float64(self.height).tobytes()).hexdigest()
+        told = f"{self.height!r} {self.units!r}".encode()
+        return hashlib.sha256(self.x.tobytes() + self.q.tobytes() + told).hexdigest()
 
     def start(self, tail: float = TAIL) -> float:
         return float(self.x[0])
