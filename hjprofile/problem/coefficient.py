@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from hjprofile.errors import InputError, RunError
+from hjprofile.problem.erosion import load_function
 from hjprofile.problem.expressions import arithmetic
-from hjprofile.problem.python_files import load_function
 
 Array = np.ndarray
 

@@ -6,25 +6,29 @@ growth "linear" instead of the last has f' -> η0 > 0: slopes then become infini
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import importlib.util
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import Chebyshev
 
-from hjprofile.errors import InputError
+from hjprofile.errors import InputError, did_you_mean
 from hjprofile.problem.expressions import arithmetic
-from hjprofile.problem.python_files import Function, load_function
+from hjprofile.problem.python_files import content_of
 
 Array = np.ndarray
+Function = Callable[[Any], Any]
 
 NEAR_ZERO = (
     0.05  # |q| below which q/f(q) is read from a polynomial: there f may be a difference of numbers of order one
 )
-NO_LAW = "what-a-law-must-be"  # heading of the page on errors
+# headings of the page on errors
+UNREADABLE, PYTHON, NO_LAW = "a-file-that-cannot-be-read", "a-python-file", "what-a-law-must-be"
 LINEAR = "linear"  # the growth of a law outside [eq:f]
 FAR = 1e100, 1e50, 1e30, 1e15  # slopes at which f' is looked for its limit: the largest where f is finite, and the next
 FARTHEST = 1e5  # slopes beyond which f - q f' of a law of linear growth is taken as constant
@@ -232,6 +236,50 @@ def from_file(path: Path, function: str, file: str | None = None, growth: str | 
     loaded = load_function(path, function)
     table = {"law": "python", "file": file or str(path), "function": function}
     return replace(erosion_law(loaded.function, table=table, growth=growth), content=loaded.content)
+
+
+def require_file(path: Path) -> None:
+    """Raises InputError unless `path` is a file; a folder has nothing to read, a pipe or a device may have no end."""
+    try:
+        there = path.is_file()
+    except OSError as error:  # a name too long, a folder that may not be entered
+        raise InputError(f"file = {str(path)!r} cannot be read: {error.strerror}", UNREADABLE) from None
+    if not there:
+        beside: list[str] = []
+        with suppress(OSError, ValueError, NotImplementedError):  # no such folder, one that may not be entered, a NUL
+            beside = [other.name for other in path.parent.glob(f"*{path.suffix}") if other.is_file()]
+        hint = did_you_mean(path.name, beside)
+        raise InputError(f"file = {str(path)!r} does not exist, or is not a file{hint}", UNREADABLE)
+
+
+class Loaded(NamedTuple):
+    """A function from a file, and the hash of the file."""
+
+    function: Function
+    content: str
+
+
+def load_function(path: Path, function: str) -> Loaded:
+    """The function of that name in a Python file. Running the file runs its author's code.
+
+    The bytes that are hashed are those that are run: Python's own cache of compiled files takes a file for unchanged
+    that was edited within a second.
+    """
+    require_file(path)
+    spec = importlib.util.spec_from_file_location(f"hjprofile_user_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise InputError(f"file = {str(path)!r} is not a Python file (.py)", PYTHON)
+    module = importlib.util.module_from_spec(spec)
+    try:
+        source = path.read_bytes()
+        content = content_of(path, source)
+        exec(compile(source, str(path), "exec"), vars(module))
+    except (Exception, SystemExit) as error:
+        raise InputError(f"file = {str(path)!r} could not be run: {type(error).__name__}: {error}", PYTHON) from error
+    f = getattr(module, function, None)
+    if not callable(f):
+        raise InputError(f"function = {function!r} is not defined in {path.name}", PYTHON)
+    return Loaded(f, content)
 
 
 def _over_arrays(f: Function) -> Function:

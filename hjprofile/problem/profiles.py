@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 
 from hjprofile.errors import InputError
-from hjprofile.problem.erosion import Array, ErosionLaw
+from hjprofile.problem.erosion import Array, ErosionLaw, load_function
 from hjprofile.problem.grid import Grid, grid_from, start_of
 from hjprofile.problem.lists import above_minus_one, numbers, same_length, within
-from hjprofile.problem.python_files import load_function
 from hjprofile.problem.units import Units
 
 TAIL = 1e-6  # mass and slope that a grid may cut off on the left; a grid solver's own error is larger

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from hjprofile.errors import InputError
-from hjprofile.problem.erosion import Array
+from hjprofile.problem.erosion import Array, require_file
 from hjprofile.problem.profiles import Points, Profile
-from hjprofile.problem.python_files import require_file
 from hjprofile.problem.units import Units
 
 REPAIR_SLOPE = 0.05  # least slope that a repaired survey keeps, as a fraction of the critical slope
