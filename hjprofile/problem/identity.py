@@ -13,6 +13,9 @@ import numpy as np
 import hjprofile
 from hjprofile.errors import InputError
 from hjprofile.problem.case import Case, resolved_case
+from hjprofile.problem.coefficient import Coefficient
+from hjprofile.problem.erosion import ErosionLaw
+from hjprofile.problem.profiles import Bumps, Given, Kinks, Points, Profile, Steady
 
 MOST_PLACES = 1000  # nodes at which a coefficient from a Python file is sampled
 TIMES = 9  # ... and times
@@ -31,13 +34,14 @@ def identity(case: Case) -> dict[str, Any]:
     digest = hashlib.sha256()
     for name, part in (("law", problem.law), ("profile", problem.profile), ("coefficient", problem.coefficient)):
         if part is not None:
-            if part.content is None:
+            content = _content(part)
+            if content is None:
                 raise InputError(
                     f"{case.source}: the {name} is a Python function of no file, so that a checkpoint of the run could "
                     "not be told from that of another; name the function's file in a case, or keep no checkpoints",
                     "a-checkpoint",
                 )
-            digest.update(f"{name} {part.content}".encode())
+            digest.update(f"{name} {content}".encode())
     for values in _samples(case):
         digest.update(values)
     return table | {"data": digest.hexdigest(), "hjprofile": f"{hjprofile.__version__} ({_package()})"}
@@ -46,6 +50,19 @@ def identity(case: Case) -> dict[str, Any]:
 def digest_of(case: Case) -> str:
     """A hash of `identity`."""
     return hashlib.sha256(json.dumps(identity(case), sort_keys=True).encode()).hexdigest()
+
+
+def _content(part: ErosionLaw | Profile | Coefficient) -> str | None:
+    """A hash of what the table of a part of a problem does not hold; None where that cannot be had."""
+    match part:
+        case Points():
+            told = f"{part.height!r} {part.units!r}".encode()
+            return hashlib.sha256(part.x.tobytes() + part.q.tobytes() + told).hexdigest()
+        case Kinks() | Bumps() | Steady():
+            return ""
+        case ErosionLaw() | Coefficient() | Given():
+            return part.content
+    return None
 
 
 def _samples(case: Case) -> list[bytes]:

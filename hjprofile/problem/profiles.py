@@ -6,16 +6,14 @@ cell means. W may tend to any constant on the left; only its slope enters the eq
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hjprofile.errors import InputError
-from hjprofile.problem.erosion import Array, ErosionLaw, load_function
+from hjprofile.problem.erosion import Array, ErosionLaw
 from hjprofile.problem.grid import Grid, grid_from, start_of
 from hjprofile.problem.lists import above_minus_one, numbers, same_length, within
 from hjprofile.problem.units import Units
@@ -40,14 +38,6 @@ class Profile:
     def table(self) -> Mapping[str, Any]:
         """The `[profile]` table of a case file that makes this profile again."""
         raise NotImplementedError
-
-    @property
-    def content(self) -> str | None:
-        """A hash of the file or of the values that hold the profile, None for a function of no file.
-
-        "" where `table` holds everything.
-        """
-        return ""
 
     @property
     def inflow(self) -> float:
@@ -248,11 +238,6 @@ class Points(Profile):
     def table(self) -> Mapping[str, Any]:
         return self.source or {"kind": "points", "x": self.x.tolist(), "q": self.q.tolist()}
 
-    @property
-    def content(self) -> str:
-        told = f"{self.height!r} {self.units!r}".encode()
-        return hashlib.sha256(self.x.tobytes() + self.q.tobytes() + told).hexdigest()
-
     def start(self, tail: float = TAIL) -> float:
         return float(self.x[0])
 
@@ -363,7 +348,7 @@ class Given(Profile):
 
     u: Callable[[Any], Any]
     source: Mapping[str, Any] = field(default_factory=dict)
-    content: str | None = None
+    content: str | None = None  # a hash of the file that holds u
 
     @property
     def table(self) -> Mapping[str, Any]:
@@ -464,9 +449,3 @@ def profile(u: Callable[[Any], Any]) -> Profile:
     looked at when a run begins, which raises InputError if that is not so.
     """
     return Given(u)
-
-
-def from_file(path: Path, function: str, file: str) -> Profile:
-    """A profile from the function u(x) of that name in a Python file, which is run."""
-    loaded = load_function(path, function)
-    return Given(loaded.function, {"kind": "python", "file": file, "function": function}, loaded.content)
