@@ -28,7 +28,7 @@ STEEP_REFERENCE_FRONTS = 3200  # under a law of linear growth, where a front cos
 REPEATS = 3
 PATIENCE = 0.3  # seconds that a run may take before finer ones of its method are left out
 SNAPSHOTS = 5  # times over which errors are taken
-INTEGRATED = 1e-12  # error of a closed form that is an integration itself: those of all laws but the rational one
+INTEGRATED = 1e-12  # error of what is integrated to 1e-13: closed forms of all laws but the rational one, exact fronts
 NOTHING = 1e-12  # |q| of a slope that is critical but for rounding
 SAFETY = 2.0  # times the distance of a reference to a coarser run of its method: what it may be off in q
 
@@ -167,7 +167,8 @@ def _reference(problem: Problem, grid: Grid) -> Reference:
     for tracked in (run, coarser):
         if not tracked.done:
             raise RunError(tracked.status)
-    error, error_q = float(np.abs(run.u - coarser.u).max()), _distance(run.q, coarser.q, grid)
+    error = max(float(np.abs(run.u - coarser.u).max()), INTEGRATED)
+    error_q = max(_distance(run.q, coarser.q, grid), error)
 
     def by_fronts(g: Grid) -> tuple[Array, Array]:
         read = track_fronts(problem, g, fronts)
