@@ -136,6 +136,12 @@ def test_what_cannot_be_studied_is_refused():
     steady = hj.Problem(hj.rational(), hj.steady(0.5), end=1.0)
     with pytest.raises(InputError, match="flows in"):
         study.dependence("steady", steady, hj.Grid(-2.0, 100))
+    gone = hj.Problem(hj.rational(), hj.kinks([-1.0], [0.5]), end=400.0)  # it leaves at t = 1.3
+    for nothing in (gone, hj.Problem(hj.rational(), hj.steps([-2.0, -1.0], [0.0]), end=1.0)):
+        with pytest.raises(
+            InputError, match=r"gone: the slope is critical at t = \S+, where distances are measured first"
+        ):
+            study.dependence("gone", nothing, hj.Grid(-2.0, 100))
     still = hj.Problem(hj.rational(), hj.bumps([0.5], [-3.0], [0.5]), end=0.0)
     with pytest.raises(InputError, match="no time passes"):
         study.dependence("still", still, hj.Grid(-6.0, 100))

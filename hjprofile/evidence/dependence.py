@@ -44,6 +44,7 @@ WAVES = 4  # disturbances of a coefficient, each a sum of SUMMANDS
 SUMMANDS = 3
 REFRESHES = (64, 32, 16, 8)  # time steps of mean length that make a fractional step
 PIECES = 4  # a disturbance is a step function of so many pieces at most
+NOTHING = 1e-12  # |q| of a slope that is critical but for rounding
 ROUNDING = 1e-9  # part of a bound by which a distance may exceed it
 FASTER = 0.02  # by which the speed may rise over a batch of steps
 SHARE = 0.5  # of 1 + q, which no disturbance exceeds
@@ -76,7 +77,8 @@ def dependence(
     """Disturbs the problem's profile, then its coefficient, and follows how far the solutions come apart.
 
     By the method `godunov` on CELLS cells: the contractions of the theory hold for a monotone scheme too. Raises
-    InputError where something flows in or no time passes, RunError where a run stops.
+    InputError where something flows in, no time passes or the slope is critical at all saved times but the first;
+    RunError where a run stops.
     """
     try:
         problem.check_method(METHOD)
@@ -153,6 +155,11 @@ class _Study:
         self.base = solve_hj(problem, grid, METHOD)
         if not self.base.done:
             raise RunError(f"{case}: {self.base.status}")
+        if not np.abs(self.base.q[1:]).max() > NOTHING:
+            raise InputError(
+                f"{case}: the slope is critical at t = {self.base.time[1]:.6g}, where distances are measured first, "
+                "and from then on; set an earlier end"
+            )
         self.scale = max(1.0, float(np.abs(self.q).sum()) * grid.dx)
 
     def solve(self, first: Problem, second: Problem) -> tuple[Path, Path]:
@@ -274,7 +281,8 @@ def largest_distances(distances: Sequence[Distance], study: str) -> dict[int, tu
 
 def observed_constant(distances: Sequence[Distance]) -> float:
     """The least L with ‖q - q̃‖₁(t) <= e^{Lt} ‖q - q̃‖₁(0) for all of them [continous-dep-on-init-data]."""
-    return max(float(np.log(d.distance / d.size)) / d.time for d in distances if d.time > 0.0 and d.distance > 0.0)
+    rates = (float(np.log(d.distance / d.size)) / d.time for d in distances if d.time > 0.0 and d.distance > 0.0)
+    return max(rates, default=-np.inf)
 
 
 def summary(distances: Sequence[Distance]) -> tuple[list[str], str]:
