@@ -363,8 +363,6 @@ class Given(Profile):
     def check(self, grid: Grid, law: ErosionLaw) -> None:
         try:
             q = self.q_means(grid, law)
-        except InputError:
-            raise
         except Exception as error:
             raise InputError(f"the profile cannot be evaluated: {type(error).__name__}: {error}") from error
         if not np.all(np.isfinite(q)):
