@@ -2,6 +2,7 @@
 
 import csv
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -49,8 +50,34 @@ def test_errors_are_what_they_are_called():
     run = hj.solve_hj(hj.Problem(KINK.law, KINK.profile, end=0.5, snapshots=times.tolist()), grid, "godunov")
     u = np.array([exact.u(t, grid.nodes) for t in times])
     assert godunov.error_u_sup == pytest.approx(np.abs(run.u - u).max(), rel=1e-12)
-    assert godunov.error_q_l1 == pytest.approx(grid.dx * np.abs(run.q[-1] - exact.q_means(0.5, grid)).sum(), rel=1e-12)
+    q = np.array([exact.q_means(t, grid) for t in times])
+    assert godunov.error_q_l1 == pytest.approx(grid.dx * np.abs(run.q - q).sum(axis=1).max(), rel=1e-12)
     assert max(p.error_u_sup for p in points if p.method in ("fronts", "characteristics")) <= 1e-8
+
+
+def test_errors_are_those_of_all_times():
+    """At the end of these the kink has left, the slope is critical, and every method is exact."""
+    left = hj.Problem(hj.rational(), hj.kinks([-1.0], [0.5]), end=3.0)  # at t = 1 + (1 - 1/e)/2 = 1.316
+    points, _ = hj.chart("left", left, hj.Grid(-2.0, 100))
+    assert min(p.error_q_l1 for p in points if p.method in ("godunov", "lax-friedrichs", "conservative")) > 1e-4
+    for still in (replace(left, end=8.0), replace(left, profile=hj.steps([-2.0, -1.0], [0.0]))):
+        with pytest.raises(
+            hj.InputError, match=r"left: the slope is critical at t = \S+, where errors are measured first"
+        ):
+            hj.chart("left", still, hj.Grid(-2.0, 100))
+
+
+def test_no_error_is_less_than_the_reference_may_be_off():
+    """Characteristics against characteristics: their distance says nothing below what either is known to."""
+    points, reference = hj.chart("smooth", SMOOTH, hj.Grid(-4.0, 200))
+    assert 0.0 < reference.error <= reference.error_q <= 1e-10
+    exact = [p for p in points if p.method == "characteristics"]
+    assert min(p.error_u_sup for p in exact) == reference.error
+    assert min(p.error_q_l1 for p in exact) == reference.error_q
+    log_kink = hj.Problem(hj.log(), KINK.profile, end=0.5)  # whose closed form is an integration itself
+    steep = hj.expression("q + q/(1+q)", growth="linear")  # fronts of kinks are the same whatever their number
+    for problem in (log_kink, hj.Problem(steep, KINK.profile, end=0.1, snapshots=3)):
+        assert charts._reference(problem, hj.Grid(-3.0, 50)).error == charts.INTEGRATED
 
 
 def test_a_flux_that_enters_leaves_fronts_out():

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ import hjprofile as hj
 from hjprofile.output.checkpoint import NAME, Checkpoint
 from hjprofile.output.folder import RECORD
 from hjprofile.problem.case import parse_case
+from hjprofile.problem.identity import identity
 from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS, solve_case
 
 CONTENT = {
@@ -108,6 +110,62 @@ def test_a_law_that_was_edited_is_another_run(in_tmp):
     edited = parse_case(CONTENT | {"erosion": law}, "scene", "scene.toml", in_tmp)
     with pytest.raises(hj.InputError, match="the data that the case names have changed"):
         solve_case(edited, keeper=Checkpoint(in_tmp, 1.0, resume=True))
+
+
+def test_a_coefficient_that_was_edited_between_its_ends_in_time_is_another_run(in_tmp):
+    """Alike at t = 0 and at the end, at every node; and so is a module beside it that it imports."""
+    sys.path.insert(0, str(in_tmp))
+    content = CONTENT | {"coefficient": {"kind": "python", "file": "k.py", "function": "k"}}
+    try:
+        Path("beside_k.py").write_text("def swell(t):\n    return 0 * t\n")
+        Path("k.py").write_text("from beside_k import swell\n\ndef k(t, x):\n    return 1 + swell(t) + 0 * x\n")
+        kept(in_tmp, parse_case(content, "scene", "scene.toml", in_tmp))
+        unchanged = parse_case(content, "scene", "scene.toml", in_tmp)
+        keeper = Checkpoint(in_tmp, 1e9, resume=True)
+        assert solve_case(unchanged, keeper=keeper).done and keeper.resumed_at > 0.0
+        Path("beside_k.py").write_text("def swell(t):\n    return t * (4 - t)\n")
+        edited = parse_case(content, "scene", "scene.toml", in_tmp)
+        assert float(edited.problem.coefficient.values(1.0, -1.0)) == 4.0  # the module as it is now
+        with pytest.raises(hj.InputError, match="the data that the case names have changed"):
+            solve_case(edited, keeper=Checkpoint(in_tmp, 1.0, resume=True))
+    finally:
+        sys.path.remove(str(in_tmp))
+        sys.modules.pop("beside_k", None)
+
+
+def test_a_changed_package_is_another_run(tmp_path, monkeypatch):
+    kept(tmp_path, case_of("godunov"))
+    monkeypatch.setattr("hjprofile.problem.identity._package", lambda: "another")
+    with pytest.raises(hj.InputError, match=r"is of another run: hjprofile = .* there, .*another.* here"):
+        solve_case(case_of("godunov"), keeper=Checkpoint(tmp_path, 1.0, resume=True))
+
+
+@pytest.mark.parametrize("part", ["law", "profile", "coefficient"])
+def test_functions_of_no_file_keep_no_checkpoints(part, tmp_path):
+    """Nothing would tell such a run from one with another function."""
+    given = {
+        "law": hj.erosion_law(lambda q: q / (1 + q)),
+        "profile": hj.profile(lambda x: x + 0.3 * np.tanh(np.maximum(x + 3.0, 0.0) ** 2)),
+        "coefficient": hj.coefficient(lambda t, x: 1.0 + 0.0 * x),
+    }
+    case = case_of("godunov")
+    case = replace(case, problem=replace(case.problem, **{part: given[part]}))
+    assert solve_case(case).done
+    with pytest.raises(hj.InputError, match=f"scene.toml: the {part} is a Python function of no file"):
+        solve_case(case, keeper=Checkpoint(tmp_path, 1.0, resume=False))
+
+
+def test_windows_of_the_whole_line_are_told_apart(in_tmp):
+    """Two windows of one width are one half line with one table of the profile; the case has both ends."""
+    Path("u.py").write_text("import numpy as np\n\ndef u(x):\n    return x + 0.3 * np.tanh(np.maximum(x + 3, 0))\n")
+    profile = {"kind": "python", "file": "u.py", "function": "u"}
+    identities = []
+    for right in (20.0, 21.0):
+        domain = {"left": right - 40.0, "cells": 400, "right": right, "line": "whole"}
+        identities.append(
+            identity(parse_case(CONTENT | {"profile": profile, "domain": domain}, "line", "line.toml", in_tmp))
+        )
+    assert identities[0]["domain"] != identities[1]["domain"] and identities[0]["data"] != identities[1]["data"]
 
 
 def test_damaged_checkpoints_are_refused_in_a_sentence(tmp_path):

@@ -195,7 +195,8 @@ def test_dependence_writes_its_table_and_picture(folder, call, monkeypatch):
     assert list(rows[0]) == ["case", "study", "member", "size", "time", "distance", "bound"]
     assert {row["study"] for row in rows} == {"data", "zero", "coefficient", "refresh", "refresh kinks"}
     assert Path("results/bare/dependence.png").read_bytes().startswith(b"\x89PNG")
-    monkeypatch.setattr(dependence, "ALLOWANCE", {"zero": -1.0})
+    honest = dependence.distance_bound
+    monkeypatch.setattr(dependence, "distance_bound", lambda *pair: 0.1 * honest(*pair))
     code, _, err = call("dependence", "bare.toml")
     assert code == 1 and "times its bound" in err
 

@@ -10,6 +10,7 @@ A page is worked through from top to bottom, in a folder of its own; its Python 
 In a block of text a line `...` stands for any lines, seconds for any seconds, and what is rounding for any rounding.
 """
 
+import ast
 import contextlib
 import importlib.util
 import io
@@ -167,6 +168,89 @@ def test_a_page_that_shows_what_does_not_come_out_is_found(text, tmp_path, monke
     (tmp_path / "page.md").write_text(text, encoding="utf-8")
     with pytest.raises((AssertionError, pytest.fail.Exception)):
         work_through(tmp_path / "page.md")
+
+
+def test_no_python_hides_in_text():
+    """A block of text is what something printed: Python that nobody runs would stand there as if it worked."""
+    for page in PAGES:
+        for kind, body in parts(page):
+            if kind != "text":
+                continue
+            statements: list[ast.stmt] = []
+            with contextlib.suppress(SyntaxError):
+                statements = ast.parse(body).body
+            code = ast.Import | ast.ImportFrom | ast.Assign | ast.For | ast.FunctionDef
+            assert not any(isinstance(node, code) for node in statements), f"{page.name}: {body[:60]!r} is Python"
+
+
+def test_rows_of_a_table_have_as_many_cells_as_its_head():
+    for page in PAGES:
+        columns = 0
+        for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), start=1):
+            cells = len(re.findall(r"(?<!\\)\|", line)) if re.match(r" *\|", line) else 0
+            assert not (columns and cells and cells != columns), f"{page.name}:{number}: {line[:60]}"
+            columns = cells
+
+
+LABELS = {  # of the equations and conditions of Amadori and Shen that are cited
+    "K", "L1-contraction", "W-along-chars", "continous-dep-on-init-data", "decay_sup_flux", "decay_tv_flux",
+    "dep_on_coefficients", "eq1", "eq1-Deltat", "eq2", "eq:bound-total-flux", "eq:f", "eq:fixed_k", "eq:q-along-chars",
+    "fex", "Fchar", "k-Deltat", "k_Deltat", "kruzkov", "qBound", "the-problem", "def:calD",
+}  # fmt: skip
+SOURCES = [*PAGES, *sorted((ROOT / "hjprofile").rglob("*.py")), *sorted((ROOT / "tests").rglob("*.py"))]
+
+
+def test_labels_of_the_paper_are_its_own():
+    """And [k_Deltat], of its section 2, is not what its section 3 calls [k-Deltat]."""
+    label = re.compile(
+        r"(?<![\w\]`\"')])\[((?:eq:|def:)?[A-Za-z][A-Za-z0-9]*(?:[-_:][A-Za-z0-9]+)+|eq\d|qBound|kruzkov|fex)\]"
+    )
+    cited = {}
+    for path in SOURCES:
+        for line in path.read_text(encoding="utf-8").splitlines():
+            if "type: ignore" not in line:
+                cited |= {found: path.name for found in label.findall(line) if len(found) > 3 and found != "A-Za-z"}
+    assert len(cited) > 12 and {name: where for name, where in cited.items() if name not in LABELS} == {}
+    assert "[k_Deltat]" not in (DOCS / "theory.md").read_text(encoding="utf-8")
+
+
+def test_sections_that_are_cited_are_there():
+    """§N is a section of the theory, §6a one of the solutions in its §6."""
+    theory = (DOCS / "theory.md").read_text(encoding="utf-8")
+    there = set(re.findall(r"^## §(\d+) ", theory, flags=re.M))
+    of_six = theory.split("\n## §6 ")[1].split("\n## ")[0]
+    there |= {f"6{letter}" for letter in re.findall(r"^- \*\*([a-z])\. ", of_six, flags=re.M)}
+    assert len(there) > 15
+    for path in [*SOURCES, *sorted((ROOT / "cases").glob("*.toml"))]:
+        for section in re.findall(r"§(\d+[a-z]?)", path.read_text(encoding="utf-8")):
+            assert section in there, f"{path.name}: §{section}"
+
+
+def test_births_are_those_of_the_table():
+    """Of the first kink of `breaking_bump`, on the grids of theory, Kinks."""
+    table = re.findall(
+        r"^  \| (\d+) \| (?:t = )?([\d.]+), (?:x = )?(-[\d.]+) \| (?:t = )?([\d.]+), (?:x = )?(-[\d.]+) \|$",
+        (DOCS / "theory.md").read_text(encoding="utf-8"), flags=re.M,
+    )  # fmt: skip
+    assert len(table) == 5
+    case = hj.load_case("breaking_bump")
+    for cells, *told in table:
+        grid = hj.Grid(case.grid.left, int(cells))
+        runs = hj.solve_hj(case.problem, grid), hj.solve_conservative(case.problem, grid)
+        births = [next(e for e in run.events if e.event == "birth") for run in runs]
+        # half a unit of the last digit that is told, and a batch of steps, which machines may end elsewhere
+        for birth, time, x in zip(births, told[::2], told[1::2], strict=True):
+            assert birth.time == pytest.approx(float(time), abs=1.5e-3), cells
+            assert birth.x == pytest.approx(float(x), abs=1e-2), cells
+
+
+def test_every_command_is_on_the_page_of_the_python_interface():
+    """With its function, which is public, or as one that has none."""
+    rows = re.findall(r"^\| (`.*`) \| (.*) \|$", (DOCS / "api.md").read_text(encoding="utf-8"), flags=re.M)
+    commands = {name: row for names, row in rows for name in re.findall(r"`(\w+)`", names)}
+    assert set(commands) == {name for name in app if not name.startswith("-")}
+    for row in commands.values():
+        assert row == "none" or set(re.findall(r"`(\w+)`", row)) <= set(hj.__all__)
 
 
 def anchors(page):

@@ -140,7 +140,7 @@ def test_snapshots_are_hit_exactly_and_fields_belong_together(method):
 
 @pytest.mark.parametrize("method", ["godunov", "telescoping"])
 def test_causality(method):
-    """What lies right of a point does not feel what lies left of it before that arrives (§6h): bit for bit."""
+    """What lies right of a point does not feel what lies left of it before that arrives (§1): bit for bit."""
     grid = hj.Grid(-10.0, 500)
     kink, step = hj.kinks([-2.0], [0.8]), hj.steps([-9.0, -8.0], [0.5])
     law = grid_law(hj.rational(), np.array([0.0, 0.8]))

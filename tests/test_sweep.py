@@ -35,14 +35,41 @@ SCENE = {
 VARY = {"erosion.m": [0.5, 2.0], "profile.values": [[0.4, 1.2], [0.5, 1.2]], "solver.method": ["godunov", "fronts"]}
 COUNT = 8
 SLOW_LAW = """
+import os
 import time
 import numpy as np
 
 def f(q):
-    if np.size(q) == 81:  # the nodes, some hundreds of times
+    if np.size(q) == 81 and "IN_HASTE" not in os.environ:  # the nodes, some hundreds of times
         time.sleep(0.001)
     return q / (1 + q)
 """
+
+
+FAR_LAW = """
+import numpy as np
+
+def f(q):  # like another law at the nodes, and up to q = 9
+    bend = {bend} * np.maximum(np.asarray(q) - 12.0, 0.0) ** 3 / (12.0 + np.asarray(q)) ** 4
+    return q / (1 + q) - bend
+"""
+PROFILE = "import numpy as np\n\ndef u(x):\n    return x + {} * np.tanh(np.maximum(x + 3, 0) ** 2)\n"
+SURVEY = "x,height\n0,0\n100,{}\n200,60\n"
+PYTHON = {"law": "python", "file": "law.py", "function": "f"}
+# kind -> the file that is edited, its text before and after, and what the case says of it
+EDITED = {
+    "law": ("law.py", "def f(q):\n    return 1 * q / (1 + q)\n", "def f(q):\n    return 2 * q / (1 + q)\n",
+            {"erosion": PYTHON}),
+    "law far away": ("far.py", FAR_LAW.format(bend=0), FAR_LAW.format(bend=1e-3),
+                     {"erosion": PYTHON | {"file": "far.py"}}),
+    "profile": ("u.py", PROFILE.format(0.3), PROFILE.format(0.5),
+                {"profile": {"kind": "python", "file": "u.py", "function": "u"}}),
+    "survey": ("s.csv", SURVEY.format(20), SURVEY.format(25),
+               {"profile": {"kind": "survey", "file": "s.csv", "critical_slope": 0.3, "length": 100.0}}),
+    "coefficient": ("k.py", "def k(t, x):\n    return 1 + 0 * x\n",
+                    "def k(t, x):\n    return 1 + 8 * t * (0.5 - t) + 0 * x\n",  # alike at t = 0 and at the end
+                    {"coefficient": {"kind": "python", "file": "k.py", "function": "k"}}),
+}  # fmt: skip
 
 
 def write_case(folder, name="scene", **changes):
@@ -378,14 +405,52 @@ def test_what_is_done_is_not_run_again(scene, ran):
     assert len(ran) == 9 and len(list(Path("out", KEPT).iterdir())) == 9  # without resume, all anew
 
 
-def test_data_that_a_case_names_tell_runs_apart(in_tmp, ran):
-    (in_tmp / "law.py").write_text(FAILING_LAW.format(condition="False"))
-    law = {"law": "python", "file": "law.py", "function": "f"}
-    case = write_case(in_tmp, erosion=law)
-    hj.sweep(case, {"time.end": [0.5]}, folder="out")
-    (in_tmp / "law.py").write_text("import numpy as np\n\ndef f(q):\n    return np.log1p(q)\n")
-    hj.sweep(case, {"time.end": [0.5]}, folder="out", resume=True)
-    assert len(ran) == 2
+@pytest.mark.parametrize(("file", "before", "after", "changes"), EDITED.values(), ids=EDITED)
+def test_an_edited_file_is_another_case(in_tmp, ran, file, before, after, changes):
+    """Of each kind of file that a case may name: what the edited file gives comes out, and nothing that was kept."""
+    (in_tmp / file).write_text(before)
+    case = write_case(in_tmp, **changes)
+    vary = {"time.end": [0.5]}
+    old = hj.sweep(case, vary, folder="out")
+    assert old.outcomes[0].done
+    assert hj.sweep(case, vary, folder="out", resume=True).recalled == 1 and len(ran) == 1
+    (in_tmp / file).write_text(after)
+    new = hj.sweep(case, vary, folder="out", resume=True)
+    assert new.recalled == 0 and len(ran) == 2
+    fresh = hj.sweep(case, vary)
+    assert netcdf(new) == netcdf(fresh)
+    assert (netcdf(new) != netcdf(old)) == (file != "far.py")  # slopes here stay below 9
+    (in_tmp / file).write_text(before)
+    assert netcdf(hj.sweep(case, vary, folder="out", resume=True)) == netcdf(old)
+
+
+def test_what_a_python_file_reads_is_seen_in_its_values(in_tmp, ran):
+    Path("k.py").write_text("import numpy as np\n\ndef k(t, x):\n    return 1 + np.loadtxt('k.txt') * t + 0 * x\n")
+    case = write_case(in_tmp, coefficient={"kind": "python", "file": "k.py", "function": "k"})
+    for number, recalled in ((0.5, 0), (0.5, 1), (0.7, 0)):
+        Path("k.txt").write_text(f"{number}")
+        assert hj.sweep(case, {"time.end": [0.5]}, folder="out", resume=True).recalled == recalled
+
+
+def test_a_stored_run_that_changed_is_another_case(in_tmp, ran):
+    law = hj.rational()
+    for k, recalled in (("1", 0), ("1 + t*(0.5 - t)", 0), ("1 + t*(0.5 - t)", 1)):  # alike at t = 0 and at the end
+        problem = hj.Problem(law, hj.steps([-3.0, -1.0], [0.4]), 0.5, 5, coefficient=hj.coefficient(k))
+        hj.write_run(hj.solve_hj(problem, hj.Grid(-4.0, 40)), "stored", vtk=False, plots=False)
+        case = write_case(in_tmp, coefficient={"kind": "run", "result": "stored"})
+        assert hj.sweep(case, {"time.end": [0.5]}, folder="out", resume=True).recalled == recalled
+
+
+def test_a_file_that_changes_while_a_sweep_runs(in_tmp):
+    """A member is not run with another file than the one that it is kept under."""
+    (in_tmp / "law.py").write_text("def f(q):\n    return q / (1 + q)\n")
+    case = write_case(in_tmp, erosion={"law": "python", "file": "law.py", "function": "f"})
+    result = hj.sweep(
+        case, {"time.end": [0.4, 0.5]}, folder="out",
+        progress=lambda done: (in_tmp / "law.py").write_text("def f(q):\n    return 2 * q / (1 + q)\n"),
+    )  # fmt: skip
+    assert result.outcomes[0].done and "is not what it was when the sweep began" in result.outcomes[1].status
+    assert len(list(Path("out", KEPT).iterdir())) == 1
 
 
 def test_failures_are_tried_again(scene, ran):
@@ -462,7 +527,7 @@ def test_a_sweep_that_is_stopped_loses_only_what_was_in_flight(in_tmp, call, mon
         time.sleep(0.05)
     done = len(list(kept.glob("*.npz")))
     assert 2 <= done < 12 and not Path("results/scene/sweep.csv").exists()
-    (in_tmp / "law.py").write_text(SLOW_LAW.replace("time.sleep(0.001)", "pass"))  # the same law
+    monkeypatch.setenv("IN_HASTE", "yes")
     monkeypatch.setattr(workers, "processes", lambda count: nullcontext())
     code, out, _ = call(*arguments, "--resume")
     assert code == 0 and f"12 done ({done} of them before)" in out

@@ -10,7 +10,7 @@ from hjprofile.errors import InputError, RunError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hjprofile.evidence.chart import Point
+    from hjprofile.evidence.chart import Point, Reference
     from hjprofile.output.folder import ResultFolder
     from hjprofile.output.store import Written
 
@@ -60,11 +60,12 @@ def chart(*case: CasePath, out: Out = None, json: Json = False) -> None:
     for one in loaded:
         with Progress(f"charting {one.name}") as progress:
             charts[one.name] = points, reference = chart_case(one.name, one.problem, one.grid, one.cfl, progress)
-        known = f" (u to {reference.error:.1g})" if reference.error else ""
+        known = f" (u to {reference.error:.1g}, q to {reference.error_q:.1g})" if reference.error else ""
         best = pareto(points)
         head = f"{one.name}: {len(points)} runs against {reference.name}{known}. None beats in seconds and in error:"
-        lines += [head, *map(_point, best)]
-        found = {"case": one.name, "reference": reference.name, "reference_error": reference.error}
+        lines += [head, *(_point(p, reference) for p in best)]
+        known_to = {"reference_error": reference.error, "reference_error_q": reference.error_q}
+        found = {"case": one.name, "reference": reference.name} | known_to
         reports.append(found | {"points": [p._asdict() for p in points], "pareto": [p._asdict() for p in best]})
     files = folder.write({"chart.csv": to_csv(Point._fields, [p for points, _ in charts.values() for p in points])})
     picture = write_picture(folder, "chart.png", chart_picture, charts)
@@ -138,6 +139,8 @@ def _written(folder: ResultFolder, files: list[Path], picture: Written) -> str:
     return "\n".join([*lines, f"written to {folder}: {listing(folder.path, files + picture.files)}"])
 
 
-def _point(p: Point) -> str:
-    errors = f"{p.error_q_l1:8.1e} of q  {p.error_u_sup:8.1e} of u"
-    return f"  {p.method:22} {p.cells:6}  {errors}  {p.seconds:.2g} s"
+def _point(p: Point, reference: Reference) -> str:
+    """A line of the account; `<` before an error that is as small as the reference can tell."""
+    q = f"{'<' * (p.error_q_l1 <= reference.error_q):>1}{p.error_q_l1:7.1e}"
+    u = f"{'<' * (p.error_u_sup <= reference.error):>1}{p.error_u_sup:7.1e}"
+    return f"  {p.method:22} {p.cells:6}  {q} of q  {u} of u  {p.seconds:.2g} s"

@@ -13,7 +13,7 @@ import numpy as np
 from hjprofile.errors import InputError, RunError
 from hjprofile.problem import CARRY_STEPS, Problem
 from hjprofile.problem.grid import Grid
-from hjprofile.solvers.characteristics import solve_characteristics
+from hjprofile.solvers.characteristics import FINEST, solve_characteristics
 from hjprofile.solvers.closed_forms import closed_form
 from hjprofile.solvers.fronts import track_fronts
 from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS, solve_conservative, solve_hj
@@ -27,7 +27,10 @@ REFERENCE_FRONTS = 12800
 STEEP_REFERENCE_FRONTS = 3200  # under a law of linear growth, where a front costs ten times as much
 REPEATS = 3
 PATIENCE = 0.3  # seconds that a run may take before finer ones of its method are left out
-SNAPSHOTS = 5  # times over which the error of u is taken
+SNAPSHOTS = 5  # times over which errors are taken
+INTEGRATED = 1e-12  # error of what is integrated to 1e-13: closed forms of all laws but the rational one, exact fronts
+NOTHING = 1e-12  # |q| of a slope that is critical but for rounding
+SAFETY = 2.0  # times the distance of a reference to a coarser run of its method: what it may be off in q
 
 
 class Point(NamedTuple):
@@ -36,8 +39,8 @@ class Point(NamedTuple):
     Attributes:
         case, method: their names.
         cells: of the grid; of `fronts` their number, and for characteristics the cells they are read on.
-        error_u_sup: sup|u - exact u| over five times, both ends among them.
-        error_q_l1: ∫|q - exact q| dx at the end.
+        error_u_sup: sup|u - exact u|, the largest of five times, both ends among them.
+        error_q_l1: ∫|q - exact q| dx, the largest of these times. Neither is less than what the reference may be off.
         seconds, steps: of the time stepping.
     """
 
@@ -55,12 +58,14 @@ class Reference(NamedTuple):
 
     Attributes:
         name: of the method.
-        error: of its u, by its own estimate; 0 for a closed form.
-        at: a function of a grid: u at the five times, shape (5, cells + 1), and q at the end, shape (cells,).
+        error, error_q: of its u and of its q, as `Point` has them, by its own estimate; 0 for a closed form in
+            elementary functions.
+        at: a function of a grid: u and q at the five times, shapes (5, cells + 1) and (5, cells).
     """
 
     name: str
     error: float
+    error_q: float
     at: Callable[[Grid], tuple[Array, Array]]
 
 
@@ -69,10 +74,10 @@ def chart(
 ) -> tuple[list[Point], Reference]:
     """Runs every method at several resolutions; each point has the median seconds of three runs.
 
-    Seconds are those of the time stepping alone, compilation and output apart. Errors are sup|u - exact u| over
-    five times, both ends among them, and ∫|q - exact q| dx at the end. Methods that break down at a resolution are left
-    out there. Raises InputError if no time passes or a coefficient is prescribed, and RunError if no method reaches the
-    end.
+    Seconds are those of the time stepping alone, compilation and output apart. Errors are sup|u - exact u| and
+    ∫|q - exact q| dx, the largest of five times, both ends among them. Methods that break down at a resolution are left
+    out there. Raises InputError if no time passes, if a coefficient is prescribed, or if the slope is critical at all
+    of these times but the first; RunError if no method reaches the end.
     """
     if not problem.end > 0.0:
         raise InputError(
@@ -82,7 +87,12 @@ def chart(
         raise InputError(f"{case}: a chart needs the exact solution, which is not known with a prescribed coefficient")
     problem = replace(problem, snapshots=np.linspace(0.0, problem.end, SNAPSHOTS).tolist())
     reference = _reference(problem, grid)
-    known: dict[int, tuple[Array, Array]] = {}
+    known = {grid.cells: reference.at(grid)}
+    if not np.abs(known[grid.cells][1][1:]).max() > max(reference.error_q, NOTHING):
+        raise InputError(
+            f"{case}: the slope is critical at t = {problem.times[1]:.6g}, where errors are measured first, and from "
+            "then on, so that every method is exact; set an earlier end"
+        )
     points: list[Point] = []
     plan = list(_plan(problem, grid, cfl))
     for i, (method, ladder) in enumerate(plan):
@@ -96,8 +106,8 @@ def chart(
                 if run.cells not in known:
                     known[run.cells] = reference.at(replace(grid, cells=run.cells))
                 u, q = known[run.cells]
-                u_sup = float(np.abs(run.u - u).max())
-                q_l1 = replace(grid, cells=run.cells).dx * float(np.abs(run.q[-1] - q).sum())
+                u_sup = max(float(np.abs(run.u - u).max()), reference.error)
+                q_l1 = max(_distance(run.q, q, replace(grid, cells=run.cells)), reference.error_q)
                 points.append(Point(case, method, cells, u_sup, q_l1, seconds, run.steps))
             if progress:
                 progress((i + (cells / ladder[-1][0]) ** 2) / len(plan))
@@ -124,29 +134,47 @@ def _plan(problem: Problem, grid: Grid, cfl: float) -> Iterator[tuple[str, Ladde
             yield "characteristics", [(grid.cells, partial(exact, tolerance)) for tolerance in TOLERANCES]
 
 
+def _distance(q: Array, other: Array, grid: Grid) -> float:
+    """∫|q - other| dx, the largest of the times."""
+    return grid.dx * float(np.abs(q - other).sum(axis=1).max())
+
+
 def _reference(problem: Problem, grid: Grid) -> Reference:
-    """The closed form if the data have one, else characteristics, else fronts at their finest."""
+    """The closed form if the data have one, else characteristics, else fronts, both at their finest."""
     exact = closed_form(problem)
-    times, end = problem.times, problem.times[-1]
     if exact is not None:
+        error = 0.0 if problem.law.name == "rational" else INTEGRATED
         return Reference(
-            "the closed form", 0.0,
-            lambda g: (np.array([exact.u(t, g.nodes) for t in times]), exact.q_means(end, g)),
+            "the closed form", error, error,
+            lambda g: (
+                np.array([exact.u(t, g.nodes) for t in problem.times]),
+                np.array([exact.q_means(t, g) for t in problem.times]),
+            ),
         )  # fmt: skip
-
-    def read(run: Run) -> tuple[Array, Array]:
-        return run.u, run.q[-1]
-
     if not problem.law.grows_linearly:  # vertical steps are followed by fronts alone
         with suppress(RunError):
-            run = solve_characteristics(problem, grid)
-            if run.done and run.error_estimate is not None:
-                estimate = run.error_estimate
-                return Reference("characteristics", estimate, lambda g: read(solve_characteristics(problem, g)))
+            run, coarser = (solve_characteristics(problem, grid, e) for e in (FINEST, 100.0 * FINEST))
+            if run.done and coarser.done and run.error_estimate is not None:
+                error_q = max(run.error_estimate, SAFETY * _distance(run.q, coarser.q, grid))
+
+                def by_characteristics(g: Grid) -> tuple[Array, Array]:
+                    read = solve_characteristics(problem, g, FINEST)
+                    return read.u, read.q
+
+                return Reference("characteristics", run.error_estimate, error_q, by_characteristics)
     fronts = STEEP_REFERENCE_FRONTS if problem.law.grows_linearly else REFERENCE_FRONTS
-    finest, coarser = (track_fronts(problem, grid, n) for n in (fronts, fronts // 2))
-    error = float(np.abs(finest.u - coarser.u).max())
-    return Reference(f"{fronts} fronts", error, lambda g: read(track_fronts(problem, g, fronts)))
+    run, coarser = (track_fronts(problem, grid, n) for n in (fronts, fronts // 2))
+    for tracked in (run, coarser):
+        if not tracked.done:
+            raise RunError(tracked.status)
+    error = max(float(np.abs(run.u - coarser.u).max()), INTEGRATED)
+    error_q = max(_distance(run.q, coarser.q, grid), error)
+
+    def by_fronts(g: Grid) -> tuple[Array, Array]:
+        read = track_fronts(problem, g, fronts)
+        return read.u, read.q
+
+    return Reference(f"{fronts} fronts", error, error_q, by_fronts)
 
 
 def pareto(points: Sequence[Point]) -> list[Point]:

@@ -44,7 +44,8 @@ def fractional_steps(
 ) -> Fractional:
     """S^Δt [eq1-Deltat] for several Δt against the same method on the same grid with its factor anew in every step.
 
-    What is compared differs in the age of the factor alone, so that the errors are those of the fractional step. By
+    What is compared differs in the age of the factor, and in time steps of other lengths, on which the errors of the
+    scheme depend: for Δt of several steps that is little beside the error of the fractional step. By
     default Δt is a fifth of the problem's end, and a half, a quarter and an eighth of that. The times compared at are
     TIMES even ones. Raises InputError where no time passes, and RunError if a run does not reach the end.
     """

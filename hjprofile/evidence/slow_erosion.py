@@ -19,7 +19,7 @@ class Departure(NamedTuple):
 
     Attributes:
         thickness: ε; 0 for the limit itself.
-        slope_l1, height_sup: ∫|q - q of the limit| dx and sup|u - u of the limit|, at the end.
+        slope_l1, height_sup: ∫|q - q of the limit| dx and sup|u - u of the limit|, the largest of the saved times.
         steps: time steps.
     """
 
@@ -40,6 +40,6 @@ def slow_erosion(problem: Problem, grid: Grid, thicknesses: Sequence[float], cfl
         if not run.done:
             raise RunError(f"thickness = {thickness:g}: {run.status}")
         limit = limit or run
-        slope = grid.dx * float(np.abs(run.q[-1] - limit.q[-1]).sum())
-        departures.append(Departure(thickness, slope, float(np.abs(run.u[-1] - limit.u[-1]).max()), run.steps))
+        slope = grid.dx * float(np.abs(run.q - limit.q).sum(axis=1).max())
+        departures.append(Departure(thickness, slope, float(np.abs(run.u - limit.u).max()), run.steps))
     return departures

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Iterator, Mapping
@@ -13,10 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-import hjprofile
 from hjprofile.errors import InputError, RunError, by_last_part, did_you_mean
 from hjprofile.problem.case import Case, find_case, parse_case, read_case
 from hjprofile.problem.grid import Grid
+from hjprofile.problem.identity import digest_of
 from hjprofile.solvers.methods import check_method, solve_case
 from hjprofile.solvers.run import Array, Run
 
@@ -34,7 +33,7 @@ QUANTITIES = {  # name -> what it is
     "largest_rise": "largest u(end,x) - u(0,x)",
     "q_min": "least excess slope at the end, mean over a cell",
     "q_max": "largest excess slope at the end, mean over a cell",
-    "K_foot": "nonlocal factor at the left end at the end: thickening of the avalanche",
+    "K_foot": "nonlocal factor at the left end at the end: flux of grains over what is poured in",
     "kinks_at_end": "kinks at the end",
     "births": "births of kinks",
     "merges": "merges of kinks",
@@ -53,7 +52,7 @@ class Member(NamedTuple):
         content: the tables of the case, with these values in them.
         name, source, base: of the case file: its name, its path, the folder to which paths in it are relative.
         grid: of the case; None if it was refused.
-        identity: tells it from every other run: a hash of the case and of the data that it names.
+        identity: a hash that tells it from every other run.
         refused: why there is no such case, or "".
     """
 
@@ -149,23 +148,18 @@ def _member(path: Path, content: Mapping[str, Any], values: Mapping[str, Any]) -
         check_method(case)
     except InputError as error:
         return member._replace(refused=str(error))
-    return member._replace(grid=case.grid, identity=_identity(tables, case))
-
-
-@np.errstate(all="ignore")
-def _identity(tables: Mapping[str, Any], case: Case) -> str:
-    """A hash of what the case says and of what the files in it hold: heights and law, wherever they come from."""
-    said = {name: table for name, table in tables.items() if name not in _UNREAD} | {"hjprofile": hjprofile.__version__}
-    law, profile = case.problem.law, case.problem.profile
-    data = (profile.W(case.grid.nodes, law), law.f(np.linspace(-0.9, 9.0, 100)))
-    text = json.dumps(said, sort_keys=True, default=str).encode()
-    return hashlib.sha256(text + b"".join(d.tobytes() for d in data)).hexdigest()
+    return member._replace(grid=case.grid, identity=digest_of(case))
 
 
 def run_member(member: Member) -> Outcome:
     """Solves one member by its case's own method. Whatever goes wrong is its status: others go on."""
     try:
         case = parse_case(member.content, member.name, member.source, member.base)
+        if digest_of(case) != member.identity:  # what is kept of this run would be taken for another's
+            return Outcome(
+                f"{case.source}: a file that the case names, or the package itself, is not what it was when the sweep "
+                "began; sweep again"
+            )
         run = solve_case(case)
     except MemoryError:
         return Outcome("the machine's memory is not enough; use fewer workers, cells or snapshots")

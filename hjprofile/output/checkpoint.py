@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-import hjprofile
 from hjprofile.errors import InputError, RunError
 from hjprofile.output.archive import pack, unpack
 from hjprofile.output.folder import write_whole
@@ -51,7 +50,7 @@ class Checkpoint:
 
     def recall(self, identity: Mapping[str, Any]) -> Mapping[str, Array] | None:
         """Raises InputError if there is a checkpoint to go on from that is damaged, or of another run."""
-        self.identity = dict(_flat({**identity, "hjprofile": hjprofile.__version__}))
+        self.identity = dict(_flat(identity))
         if not self.resume:
             self.discard()
             return None

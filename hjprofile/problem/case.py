@@ -173,6 +173,13 @@ def _table(value: Any) -> dict:
     return value
 
 
+def _profile_from_file(path: Path, function: str, file: str) -> profiles.Profile:
+    loaded = erosion.load_function(path, function)
+    return profiles.Given(
+        loaded.function, {"kind": "python", "file": file, "function": function}, content=loaded.content
+    )
+
+
 # kind or law -> constructor and its keys; a constructor takes the base folder where it reads a file
 _LAWS: dict[str, tuple[Callable, dict[str, tuple]]] = {
     "rational": (erosion.rational, {}),
@@ -198,10 +205,7 @@ _PROFILES: dict[str, tuple[Callable, dict[str, tuple]]] = {
         {"file": (_text,), "critical_slope": (_positive,), "length": (_positive,), "repair": (_text, None)},
     ),
     "python": (
-        lambda file, function, base: profiles.Given(
-            erosion.load_function(erosion.located(base, file), function),
-            {"kind": "python", "file": file, "function": function},
-        ),
+        lambda file, function, base: _profile_from_file(erosion.located(base, file), function, file),
         {"file": (_text,), "function": (_text,)},
     ),
 }

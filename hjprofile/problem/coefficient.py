@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,8 @@ class Coefficient:
         table: the `[coefficient]` table of a case file that makes it again.
         steady: whether k is known not to depend on t.
         left, end: where k is known: for left <= x <= 0, 0 <= t <= end.
+        content: a hash of the file or of the values that hold k; "" where `table` holds everything; None for a
+            function of no file.
     """
 
     function: Callable[[Any, Any], Any]
@@ -34,6 +37,7 @@ class Coefficient:
     steady: bool = False
     left: float = -np.inf
     end: float = np.inf
+    content: str | None = None
 
     def values(self, t: Any, x: Any) -> Array:
         """k at times t and places x, arrays that broadcast against each other.
@@ -77,7 +81,8 @@ def coefficient(k: str | Callable[..., Any], table: Mapping[str, Any] | None = N
     """
     if isinstance(k, str):
         checked = arithmetic(k, "t", "x")
-        return Coefficient(checked.value, {"kind": "expression", "expression": k.strip()}, "t" not in checked.used)
+        table = {"kind": "expression", "expression": k.strip()}
+        return Coefficient(checked.value, table, "t" not in checked.used, content="")
     if not callable(k):
         raise InputError(f"coefficient = {k!r} must be a function of t and x, or an expression in them")
     name, home = getattr(k, "__name__", "k"), getattr(k, "__module__", "")
@@ -91,9 +96,9 @@ def coefficient(k: str | Callable[..., Any], table: Mapping[str, Any] | None = N
 
 def from_file(path: Path, function: str, file: str | None = None) -> Coefficient:
     """A coefficient from the function of that name in a Python file, which is run."""
-    return coefficient(
-        load_function(path, function), {"kind": "python", "file": file or str(path), "function": function}
-    )
+    loaded = load_function(path, function)
+    table = {"kind": "python", "file": file or str(path), "function": function}
+    return replace(coefficient(loaded.function, table), content=loaded.content)
 
 
 def stored_coefficient(result: str | Path, base: Path = Path()) -> Coefficient:
@@ -136,7 +141,9 @@ def tabulated(time: Array, x: Array, k: Array, table: Mapping[str, Any] | None =
             before, behind = across[(j, *places)], across[(next_j, *places)]
         return np.exp((1.0 - after) * before + after * behind)
 
-    return Coefficient(between, table or {"kind": "run", "result": ""}, time.size == 1, float(x[0]), float(time[-1]))
+    content = hashlib.sha256(b"".join(values.tobytes() for values in (time, x, ln_k))).hexdigest()
+    table = table or {"kind": "run", "result": ""}
+    return Coefficient(between, table, time.size == 1, float(x[0]), float(time[-1]), content)
 
 
 def _place(knots: Array, at: Array) -> tuple[Array, Array]:

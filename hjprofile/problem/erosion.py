@@ -1,4 +1,4 @@
-"""Erosion laws f(q): how fast an avalanche of unit thickness erodes a slope of excess q = u_x - 1.
+"""Erosion laws f(q): how much a unit flux of grains erodes a slope of excess q = u_x - 1.
 
 Assumptions [eq:f]: f in C², f(0) = 0, f' > 0, f'' < 0, f -> -∞ as q -> -1, f(q)/q -> 0 as q -> ∞. A law with
 growth "linear" instead of the last has f' -> η0 > 0: slopes then become infinite, and the profile jumps (theory, §14).
@@ -12,13 +12,14 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import Chebyshev
 
 from hjprofile.errors import InputError, did_you_mean
 from hjprofile.problem.expressions import arithmetic
+from hjprofile.problem.python_files import content_of
 
 Array = np.ndarray
 Function = Callable[[Any], Any]
@@ -58,6 +59,7 @@ class ErosionLaw:
         table: the `[erosion]` table of a case file that makes this law again.
         closed_inverse: f⁻¹ where it is known in closed form.
         eta0: η0 = lim f' as q -> ∞: 0 for the laws of [eq:f], positive for those of linear growth.
+        content: a hash of the file that holds f; "" where `table` holds everything; None for a function of no file.
     """
 
     f: Function
@@ -65,6 +67,7 @@ class ErosionLaw:
     table: Mapping[str, Any] = field(default_factory=dict)
     closed_inverse: Function | None = None
     eta0: float = 0.0
+    content: str | None = None
 
     @property
     def grows_linearly(self) -> bool:
@@ -159,6 +162,7 @@ def rational() -> ErosionLaw:
         derivative=lambda q: 1.0 / np.square(1.0 + q),
         table={"law": "rational"},
         closed_inverse=lambda y: np.where(y < 1.0, y / np.where(y < 1.0, 1.0 - y, 1.0), np.nan),
+        content="",
     )
 
 
@@ -169,6 +173,7 @@ def log() -> ErosionLaw:
         derivative=lambda q: 1.0 / (1.0 + q),
         table={"law": "log"},
         closed_inverse=np.expm1,
+        content="",
     )
 
 
@@ -189,6 +194,7 @@ def power(m: float) -> ErosionLaw:
         derivative=lambda q: np.exp(-(m + 1.0) * np.log1p(q)),
         table={"law": "power", "m": float(m)},
         closed_inverse=inverse,
+        content="",
     )
 
 
@@ -198,7 +204,7 @@ def expression(text: str, growth: str | None = None) -> ErosionLaw:
     Raises InputError for anything else, and for a law that breaks an assumption. `growth` as in `erosion_law`.
     """
     table = {"law": "expression", "expression": text.strip()}
-    return erosion_law(arithmetic(text, "q").value, table=table, growth=growth)
+    return replace(erosion_law(arithmetic(text, "q").value, table=table, growth=growth), content="")
 
 
 def erosion_law(
@@ -227,8 +233,9 @@ def erosion_law(
 
 def from_file(path: Path, function: str, file: str | None = None, growth: str | None = None) -> ErosionLaw:
     """A law from the function of that name in a Python file, which is run; `growth` as in `erosion_law`."""
-    f = load_function(path, function)
-    return erosion_law(f, table={"law": "python", "file": file or str(path), "function": function}, growth=growth)
+    loaded = load_function(path, function)
+    table = {"law": "python", "file": file or str(path), "function": function}
+    return replace(erosion_law(loaded.function, table=table, growth=growth), content=loaded.content)
 
 
 def located(base: Path, file: str | Path) -> Path:
@@ -253,21 +260,34 @@ def require_file(path: Path) -> None:
         raise InputError(f"file = {str(path)!r} does not exist, or is not a file{hint}", UNREADABLE)
 
 
-def load_function(path: Path, function: str) -> Function:
-    """The function of that name in a Python file. Running the file runs its author's code."""
+class Loaded(NamedTuple):
+    """A function from a file, and the hash of the file."""
+
+    function: Function
+    content: str
+
+
+def load_function(path: Path, function: str) -> Loaded:
+    """The function of that name in a Python file. Running the file runs its author's code.
+
+    The bytes that are hashed are those that are run: Python's own cache of compiled files takes a file for unchanged
+    that was edited within a second.
+    """
     require_file(path)
     spec = importlib.util.spec_from_file_location(f"hjprofile_user_{path.stem}", path)
     if spec is None or spec.loader is None:
         raise InputError(f"file = {str(path)!r} is not a Python file (.py)", PYTHON)
     module = importlib.util.module_from_spec(spec)
     try:
-        spec.loader.exec_module(module)
+        source = path.read_bytes()
+        content = content_of(path, source)
+        exec(compile(source, str(path), "exec"), vars(module))
     except (Exception, SystemExit) as error:
         raise InputError(f"file = {str(path)!r} could not be run: {type(error).__name__}: {error}", PYTHON) from error
     f = getattr(module, function, None)
     if not callable(f):
         raise InputError(f"function = {function!r} is not defined in {path.name}", PYTHON)
-    return f
+    return Loaded(f, content)
 
 
 def _over_arrays(f: Function) -> Function:

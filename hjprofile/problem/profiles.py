@@ -348,6 +348,7 @@ class Given(Profile):
 
     u: Callable[[Any], Any]
     source: Mapping[str, Any] = field(default_factory=dict)
+    content: str | None = None  # a hash of the file that holds u
 
     @property
     def table(self) -> Mapping[str, Any]:
@@ -362,8 +363,6 @@ class Given(Profile):
     def check(self, grid: Grid, law: ErosionLaw) -> None:
         try:
             q = self.q_means(grid, law)
-        except InputError:
-            raise
         except Exception as error:
             raise InputError(f"the profile cannot be evaluated: {type(error).__name__}: {error}") from error
         if not np.all(np.isfinite(q)):

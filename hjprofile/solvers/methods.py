@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
@@ -26,14 +25,15 @@ from hjprofile.monitors.vertical_steps import StepMonitor
 from hjprofile.problem import OFF_GRID, Problem
 from hjprofile.problem.case import DEFAULT_CFL, DEFAULT_METHOD, Case, resolved_case
 from hjprofile.problem.grid import Grid
+from hjprofile.problem.identity import identity
 from hjprofile.problem.profiles import TAIL
 from hjprofile.solvers import conservation, hj
 from hjprofile.solvers.characteristics import COARSEST, FINEST, solve_characteristics
 from hjprofile.solvers.data_resolution import cells_resolve
 from hjprofile.solvers.fronts import track_fronts
 from hjprofile.solvers.high_order import ORDERS
-from hjprofile.solvers.march import Scheme, march
-from hjprofile.solvers.run import Array, Keeper, Monitor, Run
+from hjprofile.solvers.march import NOBODY, Scheme, march
+from hjprofile.solvers.run import Keeper, Monitor, Run
 from hjprofile.solvers.select import least_work
 from hjprofile.solvers.vertical_steps import step_law
 from hjprofile.solvers.whole_line import also_on_the_whole_line
@@ -133,13 +133,15 @@ def solve_case(case: Case, progress: Progress | None = None, strict: bool = Fals
 
     With `strict` a run on a grid stops where it breaks a bound that its method promises; any other returns with that
     as its status. A keeper keeps checkpoints of runs on a grid; others take seconds. Raises InputError if the case asks
-    for what does not go together, and RunError if the run cannot start, or with `auto` no method gets through.
+    for what does not go together, or for checkpoints of a Python function of no file; RunError if the run cannot
+    start, or with `auto` no method gets through.
     """
     check_method(case)
     problem, grid, method = case.problem, case.grid, case.method
     if method in HJ_METHODS or method in CONSERVATIVE_METHODS:
         problem.check(grid, method, case.refresh)
-        return _solve(problem, grid, method, case.cfl, progress, strict, keeper, case.refresh)
+        itself = identity(case) | {"strict": strict} if keeper else NOBODY
+        return _solve(problem, grid, method, case.cfl, progress, strict, keeper, case.refresh, itself)
     if method == "auto":
         assert case.tolerance is not None
         run = solve(problem, case.tolerance, grid, progress)
@@ -171,20 +173,12 @@ def _promises(problem: Problem, method: str) -> Promises:
     return WITH_LAYER if problem.thickness else PROMISES[method]
 
 
-def _fingerprint(problem: Problem, grid: Grid, W: Array) -> str:
-    """Of what a case names: two runs are the same if they have the same case, and what it names is the same."""
-    named = [W, problem.law.f(np.linspace(-0.9, 9.0, 100))]
-    if problem.coefficient is not None:
-        named += [problem.coefficient.values(t, grid.nodes) for t in (0.0, problem.end)]
-    return hashlib.sha256(b"".join(a.tobytes() for a in named)).hexdigest()
-
-
 @also_on_the_whole_line
 def _solve(
     problem: Problem, grid: Grid, method: str, cfl: float, progress: Progress | None,
-    strict: bool = False, keeper: Keeper | None = None, refresh: float | None = None,
+    strict: bool = False, keeper: Keeper | None = None, refresh: float | None = None, identity: Mapping = NOBODY,
 ) -> Run:  # fmt: skip
-    """Runs a method on a grid, watched."""
+    """Runs a method on a grid, watched; a keeper's checkpoints are told from those of other runs by `identity`."""
     if not cfl > 0:
         raise InputError(f"cfl = {cfl} must be a positive number")
     scheme: Scheme = (hj if method in HJ_METHODS else conservation).scheme(problem, grid, method, refresh)
@@ -201,7 +195,6 @@ def _solve(
         tracker = KinkTracker(problem.law, grid)
         watching = {"bounds": bounds, "kinks": tracker}
     case = resolved_case(problem, grid, method, cfl, refresh=scheme.factor.refresh)
-    identity = case | {"data": _fingerprint(problem, grid, scheme.W), "strict": strict}
     record = march(scheme, problem, grid, cfl, watching, progress, tracker.happened, keeper, identity)
     kinks, events = tracker.result(record.times)
     vertical_steps = None

@@ -1,0 +1,98 @@
+"""What tells a run from every other: its case, the files that the case names, and the package that solves it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import hjprofile
+from hjprofile.errors import InputError
+from hjprofile.problem.case import Case, resolved_case
+from hjprofile.problem.coefficient import Coefficient
+from hjprofile.problem.erosion import ErosionLaw
+from hjprofile.problem.profiles import Bumps, Given, Kinks, Points, Profile, Steady
+
+MOST_PLACES = 1000  # nodes at which a coefficient from a Python file is sampled
+TIMES = 9  # ... and times
+
+
+def identity(case: Case) -> dict[str, Any]:
+    """The resolved case without its title, a hash `data` of what its table does not hold, and the package's own.
+
+    Files count by their bytes. What a Python file may read in its turn is seen in its values alone: f over
+    1e-8 <= 1 + q <= 1e8, heights at the nodes, k at TIMES times and at MOST_PLACES nodes. Raises InputError for a
+    Python function of no file.
+    """
+    problem = case.problem
+    table = resolved_case(problem, case.grid, case.method, case.cfl, case.tolerance, case.refresh)
+    del table["title"]
+    digest = hashlib.sha256()
+    for name, part in (("law", problem.law), ("profile", problem.profile), ("coefficient", problem.coefficient)):
+        if part is not None:
+            content = _content(part)
+            if content is None:
+                raise InputError(
+                    f"{case.source}: the {name} is a Python function of no file, so that a checkpoint of the run could "
+                    "not be told from that of another; name the function's file in a case, or keep no checkpoints",
+                    "a-checkpoint",
+                )
+            digest.update(f"{name} {content}".encode())
+    for values in _samples(case):
+        digest.update(values)
+    return table | {"data": digest.hexdigest(), "hjprofile": f"{hjprofile.__version__} ({_package()})"}
+
+
+def digest_of(case: Case) -> str:
+    """A hash of `identity`."""
+    return hashlib.sha256(json.dumps(identity(case), sort_keys=True).encode()).hexdigest()
+
+
+def _content(part: ErosionLaw | Profile | Coefficient) -> str | None:
+    """A hash of what the table of a part of a problem does not hold; None where that cannot be had."""
+    match part:
+        case Points():
+            told = f"{part.height!r} {part.units!r}".encode()
+            return hashlib.sha256(part.x.tobytes() + part.q.tobytes() + told).hexdigest()
+        case Kinks() | Bumps() | Steady():
+            return ""
+        case ErosionLaw() | Coefficient() | Given():
+            return part.content
+    return None
+
+
+def _samples(case: Case) -> list[bytes]:
+    """Values of the functions that are from Python files; of others the table holds everything."""
+    problem, nodes = case.problem, case.grid.nodes
+    law, profile, given = problem.law, problem.profile, problem.coefficient
+    found = []
+    if law.table.get("law") == "python":
+        found.append(_values(law.f, np.expm1(np.linspace(np.log(1e-8), np.log(1e8), 4001))))
+    if profile.table.get("kind") == "python":
+        found.append(_values(lambda x: profile.W(x, law), nodes))
+    if given is not None and given.table.get("kind") == "python":
+        times = np.linspace(0.0, problem.end, TIMES)[:, None]
+        found.append(_values(given.function, times, nodes[:: -(-nodes.size // MOST_PLACES)]))
+    return found
+
+
+def _values(function: Any, *at: Any) -> bytes:
+    with np.errstate(all="ignore"):
+        try:
+            return np.asarray(function(*at), dtype=float).tobytes()
+        except Exception as error:  # whatever a user's function raises
+            return type(error).__name__.encode()
+
+
+@cache
+def _package() -> str:
+    """A hash of the package's own modules; the folder of cases, which an installed one has beside them, left out."""
+    home = Path(__file__).parent.parent
+    found = (path for path in home.rglob("*.py") if path.parent.name != "cases")
+    files = sorted((path.relative_to(home).as_posix(), path) for path in found)
+    parts = [name.encode() + hashlib.sha256(path.read_bytes()).digest() for name, path in files]
+    return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
