@@ -16,7 +16,10 @@ import numpy as np
 
 from hjprofile.errors import InputError, RunError, by_last_part, did_you_mean
 from hjprofile.problem.case import Case, load_case, resolved_case
+from hjprofile.problem.heights import HIGHEST
+from hjprofile.problem.lists import as_numbers
 from hjprofile.problem.profiles import Units
+from hjprofile.problem.ranges import number, shown
 from hjprofile.solvers.fronts import heights_at_end
 from hjprofile.solvers.run import Array
 
@@ -97,6 +100,8 @@ class _Model:
     """Heights after, as a function of the logarithms z of the parameters over their starting values."""
 
     def __init__(self, path: str | Path, vary: Sequence[str]):
+        if isinstance(vary, str) or not isinstance(vary, Sequence) or not all(isinstance(v, str) for v in vary):
+            raise InputError(f'vary = {shown(vary)} must be a list of keys, as in ["time.end"]')
         self.path, self.names = path, list(vary)
         self.first = load_case(path)
         self.table = _resolved(self.first)
@@ -205,8 +210,7 @@ def fit(case: str | Path, x: Array, height: Array, vary: Sequence[str], sigma: f
     from scipy.optimize import least_squares
     from scipy.special import chdtrc, ndtri, stdtrit
 
-    if sigma is not None and not (np.isfinite(sigma) and sigma > 0.0):
-        raise InputError(f"sigma = {sigma} must be a positive number")
+    sigma = None if sigma is None else number("sigma", sigma)
     started = time.perf_counter()
     model = _Model(case, vary)
     at, measured, fine = _on_the_slope(model, x, height)
@@ -268,8 +272,9 @@ def _on_the_slope(model: _Model, x: Array, height: Array) -> tuple[Array, Array,
 
     Raises InputError if they are too few.
     """
-    x, height = np.asarray(x, dtype=float), np.asarray(height, dtype=float)
-    if not (x.ndim == 1 and x.shape == height.shape and np.all(np.isfinite([x, height])) and np.all(np.diff(x) > 0)):
+    x, height = (v if (v := as_numbers(given)) is not None else np.array(np.nan) for given in (x, height))
+    fits = x.ndim == 1 and x.shape == height.shape and np.all(np.abs([x, height]) <= HIGHEST)
+    if not (fits and np.all(np.diff(x) > 0)):
         raise InputError("the survey after must be two lists of as many finite numbers, x increasing")
     begin = model.first.problem.profile.start() if model.surveyed else model.first.grid.left
     last = float(model.units.x(0.0))

@@ -24,6 +24,7 @@ from hjprofile.problem import Problem, profiles
 from hjprofile.problem.coefficient import tabulated
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
+from hjprofile.problem.ranges import instance
 from hjprofile.solvers.methods import solve_hj
 from hjprofile.solvers.run import Array, Run
 
@@ -72,6 +73,8 @@ def dependence(
     By the method `godunov` on CELLS cells: the contractions of the theory hold for a monotone scheme too. Raises
     InputError where something flows in or no time passes, RunError where a run stops.
     """
+    instance("problem", problem, Problem)
+    instance("grid", grid, Grid)
     try:
         problem.check_method(METHOD)
     except InputError as error:

@@ -20,6 +20,7 @@ import numpy as np
 
 import hjprofile
 from hjprofile.errors import InputError
+from hjprofile.problem.ranges import as_path, instance
 from hjprofile.problem.units import Units
 from hjprofile.solvers.run import FIELDS, UNITS, Event, KinkRecord, Run, Verdict, VerticalStep
 
@@ -71,6 +72,8 @@ def write_run(
 
     A helper draws the pictures while the other files are made.
     """
+    instance("run", run, Run)
+    folder = as_path("folder", folder)
     drawn = None
     if plots and helper:
         with suppress(BrokenExecutor):  # whoever is lost is done without
@@ -92,7 +95,6 @@ def write_run(
         except BrokenExecutor:
             files |= _pictures(run)
     files["summary.json"] = to_json(summary(run))  # last: a folder with a summary is complete
-    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "summary.json").unlink(missing_ok=True)
     with ThreadPoolExecutor(8) as pool:
@@ -204,7 +206,7 @@ def load_run(folder: str | Path) -> Run:
     """A run read back from its result folder. Raises InputError if there is none."""
     from scipy.io import netcdf_file
 
-    folder = Path(folder)
+    folder = as_path("folder", folder)
     try:
         with netcdf_file(folder / "profile.nc", "r", mmap=False) as file:
             arrays = {name: np.array(file.variables[name][:], dtype=float) for name in FIELDS}
