@@ -365,10 +365,10 @@ def resolved_case(
     snapshots = problem.snapshots
     return {
         "title": problem.title,
-        "erosion": dict(problem.law.table),
+        "erosion": plain(problem.law.table),
         **({"layer": {"thickness": problem.thickness}} if problem.thickness else {}),
-        "profile": dict(problem.profile.table),
-        **({} if problem.coefficient is None else {"coefficient": dict(problem.coefficient.table)}),
+        "profile": plain(problem.profile.table),
+        **({} if problem.coefficient is None else {"coefficient": plain(problem.coefficient.table)}),
         "domain": {"left": grid.left, "cells": grid.cells}
         | ({"line": "whole", "right": grid.right} if problem.line == "whole" else {}),
         "time": {

@@ -20,7 +20,7 @@ from hjprofile.problem.case import resolved_case
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Kinks
-from hjprofile.problem.ranges import whole
+from hjprofile.problem.ranges import read_only, whole
 from hjprofile.solvers.data_resolution import EXACT, Resolution, compare_data, divided, fine_sample, log_slope
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels import fronts as kernels
@@ -423,7 +423,7 @@ def heights_at_end(problem: Problem, left: float, x: Array, fronts: int) -> Arra
     """
     _, tracker, resolution = _begin(problem, left, fronts)
     arrived = tracker.advance(problem.end)
-    W, K = tracker.read(x)
+    W, K = tracker.read(read_only(x))  # as the nodes of a grid are: one compiled form does for both
     u = x + W + float(problem.profile.W(np.array([left]), problem.law)[0])
     if not resolution.holds:
         raise RunError(f"{fronts} fronts do not resolve the profile")
