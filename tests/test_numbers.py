@@ -206,7 +206,7 @@ def test_every_key_is_taken_or_refused(section, table, key, folder):
 
 OPTIONS = [
     *(("run", option) for option in ("--cells", "--cfl", "--tolerance", "--end")),
-    *(("sweep", option) for option in ("--workers", "--vary=time.end", "--vary=domain.cells")),
+    *(("sweep", option) for option in ("--workers", "--vary=time.end")),
     ("fit", "--sigma"),
     ("animate", "--fps"),
 ]
@@ -219,6 +219,8 @@ def test_every_option_is_taken_or_refused(command, option, folder, call):
     write_run(on_grid(SLOPE), folder / "result", vtk=False, plots=False)
     where = {"animate": ["result", "--out", "film.gif"], "fit": ["scene.toml", "survey.csv", "--vary", "time.end"]}
     for text in TEXTS:
+        if command == "sweep" and text == "-0.0":
+            continue  # that is 0, and begins two processes, which take seconds
         arguments = [command, *where.get(command, ["scene.toml"]), f"{option}={text}"]
         if option == "--workers":
             arguments += ["--vary", "time.end=0.1"]
@@ -269,7 +271,7 @@ def test_numbers_of_numpy_are_numbers():
 
 @pytest.mark.parametrize("key", ["", "a.b.c", ".cells", "domain.", 3])
 def test_what_is_no_key_of_a_case(key):
-    with pytest.raises(hj.InputError, match="is not a key of a case; it is written section.key, or title"):
+    with pytest.raises(hj.InputError, match="is not a key of a case; it is written section"):
         hj.load_case("two_kinks", {key: 1.0})
 
 
