@@ -44,6 +44,14 @@ def test_what_stands_for_no_height_is_refused_with_its_rows(tmp_path, value, row
         hj.read_survey(tmp_path / "survey.csv")
 
 
+def test_what_stands_for_no_height_is_not_fitted():
+    """Arrays of a user as well as files."""
+    x, height, _ = hj.read_survey(hj.shipped_cases()["hillslope"].with_suffix(".csv"))
+    height[10] = -9999.0
+    with pytest.raises(hj.InputError, match=rf"has -9999 at x = {x[10]:g}, which is not a measured height; omit it"):
+        hj.fit("hillslope", x, height, ["time.end"])
+
+
 def test_a_height_far_from_30_km_of_others(tmp_path):
     """A relief of 9 km, a gap of 10 km: no measure of the heights alone tells them apart, the slope does."""
     x = 30.0 * np.arange(1001)

@@ -16,7 +16,7 @@ import numpy as np
 
 from hjprofile.errors import InputError, RunError, by_last_part, did_you_mean
 from hjprofile.problem.case import Case, load_case, resolved_case
-from hjprofile.problem.heights import HIGHEST
+from hjprofile.problem.heights import HIGHEST, without_height
 from hjprofile.problem.lists import as_numbers
 from hjprofile.problem.profiles import Units
 from hjprofile.problem.ranges import number, shown
@@ -276,6 +276,9 @@ def _on_the_slope(model: _Model, x: Array, height: Array) -> tuple[Array, Array,
     fits = x.ndim == 1 and x.shape == height.shape and np.all(np.abs([x, height]) <= HIGHEST)
     if not (fits and np.all(np.diff(x) > 0)):
         raise InputError("the survey after must be two lists of as many finite numbers, x increasing")
+    if (none := without_height(x, height)).any():
+        i = int(np.argmax(none))
+        raise InputError(f"the survey after has {height[i]:g} at x = {x[i]:g}, which is not a measured height; omit it")
     begin = model.first.problem.profile.start() if model.surveyed else model.first.grid.left
     last = float(model.units.x(0.0))
     first = last - float(f"{last - float(model.units.x(begin)):.9g}")  # less rounding: 0 shall read as 0

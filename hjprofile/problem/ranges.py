@@ -84,7 +84,7 @@ def number(name: str, value: Any, about: str = "", key: str = "") -> float:
     allowed = RANGES[key or name]
     if not allowed.holds(found := as_number(value)):
         raise InputError(f"{name} = {shown(value)} must be {allowed.words}", about)
-    return found
+    return found + 0.0  # no -0
 
 
 def whole(name: str, value: Any, least: int, most: int | None = None) -> int:
@@ -101,7 +101,7 @@ def whole(name: str, value: Any, least: int, most: int | None = None) -> int:
 def instance(name: str, value: Any, kind: type) -> None:
     """Raises InputError if what was given under that name is of another kind."""
     if not isinstance(value, kind):
-        raise InputError(f"{name} = {shown(value)} must be a {kind.__name__}")
+        raise InputError(f"{name} = {shown(value)} must be of the type {kind.__name__}")
 
 
 def as_path(name: str, value: Any) -> Path:
