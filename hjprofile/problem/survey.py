@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -44,47 +45,12 @@ def survey(
         raise InputError(f"repair = {shown(repair)} is not known; allowed is 'isotonic'", ABOUT)
     as_path("file", file)
     x, height, rows = read_survey((base or Path()) / file)
-    if (top := crest(height)) is not None:
-        raise InputError(
-            f"file = {str(file)!r} passes its crest in row {rows[top]} (x = {x[top]:g}), and a case is of one flank; "
-            f"keep rows {rows[0]} to {rows[top]}, or mirror rows {rows[top]} to {rows[-1]} (write -x for x, and the "
-            "last row first)",
-            DOES_NOT_RISE,
-        )
-    account = ""
     least = REPAIR_SLOPE * critical_slope if repair else 0.0
     falls = np.flatnonzero(np.diff(height) <= least * np.diff(x))
-    upside_down = falls_on_the_whole(height) and np.argmax(height) < height.size // 2
-    if falls.size and (upside_down or repair is None):
-        pairs = ", ".join(f"{rows[i]}-{rows[i + 1]}" for i in falls[:MOST_ROWS]) + (
-            ", ..." if falls.size > MOST_ROWS else ""
-        )
-        if upside_down:
-            remedy = "this one has its top at the left, so mirror it (write -x for x, and the last row first)"
-        else:
-            most = np.max(np.abs(np.diff(height)[falls]))
-            remedy = f"there it is flat or falls, by {most:.6g} at most (correct it, or set repair = 'isotonic')"
-        raise InputError(
-            f"file = {str(file)!r} does not rise in rows {pairs}; a survey must rise from left to right, and {remedy}",
-            DOES_NOT_RISE,
-        )
+    _check_that_it_rises(str(file), x, height, rows, falls, repair is not None)
+    account = ""
     if falls.size:
-        repaired = nearest_rising(x, height, least)
-        moved = np.abs(repaired - height)
-        far = moved > MOST_MOVED * np.ptp(repaired)
-        if far.any():
-            i = _farthest_off(height, moved, far)
-            raise InputError(
-                f"file = {str(file)!r} row {rows[i]}: repair = 'isotonic' would move its height of {height[i]:g} by "
-                f"{moved[i]:.5g}, more than a tenth of all that the survey rises; correct or delete that row",
-                DOES_NOT_RISE,
-            )
-        rounding = 1e-9 * (np.ptp(height) + least * np.ptp(x))
-        account = (
-            f"survey repaired: {np.count_nonzero(moved > rounding)} of {x.size} points moved, "
-            f"by {moved.max():.3g} at most and {np.sqrt(np.mean(moved**2)):.3g} on average (r.m.s.)"
-        )
-        height = repaired
+        height, account = _repaired(str(file), x, height, rows, least)
     table = {"kind": "survey", "file": str(file), "critical_slope": critical_slope, "length": length}
     if repair:
         table["repair"] = repair
@@ -107,6 +73,51 @@ def survey(
     return Points(
         np.repeat(xi, 2)[1:-1], np.repeat(q, 2), source=table, units=units, height=float(u[0] - xi[0]), account=account
     )
+
+
+def _check_that_it_rises(file: str, x: Array, height: Array, rows: Sequence[int], falls: Array, repaired: bool) -> None:
+    """Raises InputError if a survey passes a crest, has its top at the left, or falls where nothing repairs it."""
+    if (top := crest(height)) is not None:
+        raise InputError(
+            f"file = {file!r} passes its crest in row {rows[top]} (x = {x[top]:g}), and a case is of one flank; keep "
+            f"rows {rows[0]} to {rows[top]}, or mirror rows {rows[top]} to {rows[-1]} (write -x for x, and the last "
+            "row first)",
+            DOES_NOT_RISE,
+        )
+    upside_down = falls_on_the_whole(height) and np.argmax(height) < height.size // 2
+    if not falls.size or (repaired and not upside_down):
+        return
+    pairs = ", ".join(f"{rows[i]}-{rows[i + 1]}" for i in falls[:MOST_ROWS])
+    pairs += ", ..." if falls.size > MOST_ROWS else ""
+    if upside_down:
+        remedy = "this one has its top at the left, so mirror it (write -x for x, and the last row first)"
+    else:
+        most = np.max(np.abs(np.diff(height)[falls]))
+        remedy = f"there it is flat or falls, by {most:.6g} at most (correct it, or set repair = 'isotonic')"
+    raise InputError(
+        f"file = {file!r} does not rise in rows {pairs}; a survey must rise from left to right, and {remedy}",
+        DOES_NOT_RISE,
+    )
+
+
+def _repaired(file: str, x: Array, height: Array, rows: Sequence[int], least: float) -> tuple[Array, str]:
+    """The nearest rising heights, and an account of it. Raises InputError where one would move too far."""
+    repaired = nearest_rising(x, height, least)
+    moved = np.abs(repaired - height)
+    far = moved > MOST_MOVED * np.ptp(repaired)
+    if far.any():
+        i = _farthest_off(height, moved, far)
+        raise InputError(
+            f"file = {file!r} row {rows[i]}: repair = 'isotonic' would move its height of {height[i]:g} by "
+            f"{moved[i]:.5g}, more than a tenth of all that the survey rises; correct or delete that row",
+            DOES_NOT_RISE,
+        )
+    rounding = 1e-9 * (np.ptp(height) + least * np.ptp(x))
+    account = (
+        f"survey repaired: {np.count_nonzero(moved > rounding)} of {x.size} points moved, "
+        f"by {moved.max():.3g} at most and {np.sqrt(np.mean(moved**2)):.3g} on average (r.m.s.)"
+    )
+    return repaired, account
 
 
 def nearest_rising(x: Array, height: Array, least: float) -> Array:

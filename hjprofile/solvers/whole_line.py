@@ -164,7 +164,7 @@ class Window:
 def _with_caution(run: Run, problem: Problem) -> Run:
     """The run with what its problem says against its domain, once, whichever solvers it has gone through."""
     caution = problem.caution(float(run.x[0]))
-    return replace(run, cautions=[*run.cautions, caution]) if caution and caution not in run.cautions else run
+    return replace(run, cautions=(*run.cautions, caution)) if caution and caution not in run.cautions else run
 
 
 def also_on_the_whole_line(solver: Callable[P, Run]) -> Callable[P, Run]:
