@@ -19,7 +19,7 @@ from hjprofile.problem.case import Case, load_case, resolved_case
 from hjprofile.problem.heights import HIGHEST, without_height
 from hjprofile.problem.lists import as_numbers
 from hjprofile.problem.profiles import Units
-from hjprofile.problem.ranges import number, shown
+from hjprofile.problem.ranges import number, plain, shown
 from hjprofile.solvers.fronts import heights_at_end
 from hjprofile.solvers.run import Array
 
@@ -100,9 +100,9 @@ class _Model:
     """Heights after, as a function of the logarithms z of the parameters over their starting values."""
 
     def __init__(self, path: str | Path, vary: Sequence[str]):
-        if isinstance(vary, str) or not isinstance(vary, Sequence) or not all(isinstance(v, str) for v in vary):
+        self.path, self.names = path, plain(vary)
+        if not isinstance(self.names, list) or not all(isinstance(name, str) for name in self.names):
             raise InputError(f'vary = {shown(vary)} must be a list of keys, as in ["time.end"]')
-        self.path, self.names = path, list(vary)
         self.first = load_case(path)
         self.table = _resolved(self.first)
         offered = {
