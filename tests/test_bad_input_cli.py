@@ -76,7 +76,7 @@ BAD_SURVEYS = {  # name -> bytes, or these and the words that the message must h
     "units": (b"x,height\n0 m,0 m\n", ["row 2: '0 m,0 m' must be two numbers", "no unit"]),
     "Excel's Unicode": ("x,height\n0,0\n1,1\n".encode("utf-16"), ["save it as text in UTF-8"]),
     "top at the left": (b"x,height\n0,9\n1,7\n2,8\n", ["rows 2-3;", "so mirror it (write -x for x,"]),
-    "nothing measured": (b"x,height\n0,0\n1,-9999\n2,1\n", ["rows 2-3;", "by 9999 at most (correct it, or set repair"]),
+    "nothing measured": (b"x,height\n0,0\n1,-9999\n2,1\n", ["row 3: -9999 is not a measured height"]),
     "from the top down": (b"x,height\n2,1\n1,0.5\n0,0\n", ["row 3: x = 1 must be greater", "sort the rows by x"]),
     "no header": b"0,0\n1,1\n",
     "unsorted": b"x,height\n0,0\n2,1\n1,2\n",

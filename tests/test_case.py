@@ -2,6 +2,8 @@
 
 import math
 import os
+import subprocess
+import sys
 import tomllib
 
 import numpy as np
@@ -188,3 +190,17 @@ def test_resolved_values_are_exact(folder, changes):
     again = parse_case(tomllib.loads(text), case.name, "resolved", folder)
     assert (again.grid, again.cfl, again.refresh) == (case.grid, case.cfl, case.refresh)
     same(again.problem, case.problem, case.grid)
+
+
+def test_messages_need_no_docstrings(folder):
+    """`python -OO` takes them away: the sentences read "must be None"."""
+    path = write(folder, changed({"time.end": "soon", "domain.cells": REMOVED}), "oo.toml")
+    script = (
+        "import sys; from hjprofile.problem.case import load_case\n"
+        "for changes in ({}, {'domain.cells': 40}):\n"
+        "    try: load_case(sys.argv[1], changes)\n"
+        "    except ValueError as error: print(error)"
+    )
+    done = subprocess.run([sys.executable, "-OO", "-c", script, path], capture_output=True, text=True, check=True)
+    assert "cells is missing; it must be a whole number" in done.stdout
+    assert "end = 'soon' must be a finite number" in done.stdout

@@ -75,7 +75,7 @@ def test_the_picture(other):
     curve, dots = last.lines
     largest = np.abs(both.height[0] - both.height[1]).max(axis=1)
     assert np.array_equal(np.nan_to_num(curve.get_ydata()), np.where(largest > 1e-12, largest, 0.0))
-    apart = [kink_distances(first, other, t) for t in first.time[both.first]]
+    apart = [kink_distances(first.kinks_at(i), other.kinks_at(j)) for i, j in zip(both.first, both.second, strict=True)]
     assert list(dots.get_ydata()) == [d for each in apart for d in each if d > 1e-12]
     assert [t.get_text() for t in figure.texts] == [
         "Two kinks", "coarse: local-lax-friedrichs, 100 cells", f"fine: local-lax-friedrichs, {other.cells} cells"
@@ -100,10 +100,37 @@ def test_two_runs_of_one_survey_are_drawn_in_its_units():
     assert any(np.array_equal(line.get_ydata(), both.slope[0, -1] - both.slope[1, -1]) for line in bottom.lines)
     largest, apart = (line.get_ydata() for line in last.lines)
     assert largest[1] == pytest.approx(metres * np.abs(early[0] - early[1]).max())
-    of_kinks = np.concatenate([kink_distances(first, other, t) for t in first.time])
+    of_kinks = np.concatenate([kink_distances(first.kinks_at(i), other.kinks_at(i)) for i in range(first.time.size)])
     assert list(apart) == pytest.approx(200.0 * of_kinks[of_kinks > 1e-12])
-    elsewhere = dataclasses.replace(other, units=dataclasses.replace(UNITS, length=100.0))
-    assert draw_comparison(first, elsewhere, NAMES).axes[0].get_ylabel() == "height u"
+    of_no_survey = dataclasses.replace(other, units=None)
+    assert draw_comparison(first, of_no_survey, NAMES).axes[0].get_ylabel() == "height u"
+
+
+@pytest.mark.parametrize("change", [{"length": 100.0}, {"critical_slope": 0.3}, {"x_top": 900.0}, {"height_top": 0.0}])
+def test_runs_in_different_units_are_not_compared(change):
+    """The same ground differs by any amount in the numbers of two units."""
+    first = dataclasses.replace(solved(100), units=UNITS)
+    other = dataclasses.replace(solved(100), units=dataclasses.replace(UNITS, **change))
+    words = r"surveys in different units \(length = 200, critical_slope = 0.25, top at x = 1000, height 450; and length"
+    for compared in (compare, lambda one, two: draw_comparison(one, two, NAMES)):
+        with pytest.raises(hj.InputError, match=words):
+            compared(first, other)
+    rounded = {name: value * (1 + 1e-15) for name, value in dataclasses.asdict(UNITS).items()}
+    assert compare(first, dataclasses.replace(other, units=Units(**rounded))).height_sup == 0.0
+
+
+def test_times_that_differ_by_rounding_are_one():
+    """0.1 + 0.1 + ... and a division are the same times: 31 of 31, in either order."""
+    summed = np.append(0.0, np.cumsum(np.full(30, 0.1)))
+    first, second = (solved(100, 3.0, tuple(times.tolist())) for times in (summed, np.arange(31) / 10))
+    assert np.intersect1d(first.time, second.time).size < 31  # what `==` finds
+    for one, other in ((first, second), (second, first)):
+        found = compare(one, other)
+        assert found.shared_times == 31 and found.kinks < 1e-10 and found.height_sup < 1e-10
+    some = solved(100, 3.0, (0.3, 0.95, 3.0))
+    both = shared(first, some)
+    assert (both.first.tolist(), both.second.tolist()) == ([3, 30], [0, 2])
+    assert compare(first, some).shared_times == compare(some, first).shared_times == 2
 
 
 def test_long_names_find_room():
@@ -129,7 +156,8 @@ def test_the_command(results, call, monkeypatch):
     assert (results / "a" / "comparison.png").is_file() and (results / "a" / "comparison.svg").is_file()
     code, out, err = call("compare", "a", "b", "--out", "both", "--json")
     document = json.loads(out)
-    assert document == norms._asdict() | {"shared_times": 9, "files": ["both/comparison.png", "both/comparison.svg"]}
+    assert norms.shared_times == 9 and "9 in both, of 9 and 9 that are saved" in call("compare", "a", "b")[1]
+    assert document == norms._asdict() | {"files": ["both/comparison.png", "both/comparison.svg"]}
     code, out, err = call("compare", "a", "c", "--out", "none")
     assert (code, out) == (2, "") and err.count("\n") == err.count("(docs/errors.md#a-") == 1 and "do not nest" in err
     assert not (results / "none").exists()

@@ -336,7 +336,7 @@ def test_all_failed_is_exit_code_1(scene, call, alone):
         (["solver.tolerance=1e-6"], "tolerance applies to the methods characteristics and auto"),
         (["profile.values=[0.4,1.2],[0.4]"], "values has 1"),
         (["time.end=" + ",".join(map(str, range(1, 401))), "erosion.m=" + ",".join(map(str, range(1, 401)))], "160000"),
-        (["time.end=1", "--workers", "0"], "--workers 0 must be 1 or more"),
+        (["time.end=1", "--workers", "0"], "--workers 0 must be from 1 to 1000"),
         (["time.end=1", "--workers", "many"], "--workers"),
     ],
 )

@@ -45,22 +45,23 @@ def compare(result: Somewhere, other: Somewhere, /, *, out: Into = None, json: J
     if names[0] == names[1]:
         names = (str(result), str(other))
     files = comparison_pictures(first, second, names)
-    times = sum(t in second.time for t in first.time)
     kinks = f"{norms.kinks:.2g}" if norms.kinks == norms.kinks else "none to compare"
     heights = ""
-    if (units := first.units) and units == second.units:
+    if (units := first.units) and second.units:
         in_units = "in the survey's units"
         area, height = norms.height_l1 * units.volume, norms.height_sup * units.length * units.critical_slope
         heights = f" ({area:.2g} and {height:.2g} {in_units})"
         kinks += f" ({norms.kinks * units.length:.2g} {in_units})" if norms.kinks == norms.kinks else ""
+    times = f"{norms.shared_times} in both, of {first.time.size} and {second.time.size} that are saved"
     lines = [f"{name}: {run.method}, {run.cells} cells" for name, run in zip(names, (first, second), strict=True)]
     lines += [
+        f"  times       {times}",
         f"  height      ∫|u₁ - u₂| dx = {norms.height_l1:.2g}, sup|u₁ - u₂| = {norms.height_sup:.2g}{heights}",
         f"  slope       ∫|q₁ - q₂| dx = {norms.slope_l1:.2g}, sup|q₁ - q₂| = {norms.slope_max:.2g}",
         f"  kinks       {kinks}",
         "  written     ",
     ]
-    _write(result, out or result, files, json, {"shared_times": times} | norms._asdict(), "\n".join(lines))
+    _write(result, out or result, files, json, norms._asdict(), "\n".join(lines))
 
 
 @app.command

@@ -8,8 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.errors import InputError
-from hjprofile.problem.lists import same_length
-from hjprofile.solvers.run import Array, Run
+from hjprofile.problem.lists import as_numbers, same_length
+from hjprofile.problem.ranges import SAME_TIME, instance, shown
+from hjprofile.problem.units import Units
+from hjprofile.solvers.run import Array, KinkRecord, Run
 
 ABOUT = "a-check-or-a-study"
 STRONG = 0.25  # jump above which every method here sees a kink on a few hundred cells
@@ -18,6 +20,8 @@ STRONG = 0.25  # jump above which every method here sees a kink on a few hundred
 class Comparison(NamedTuple):
     """How far two runs are apart, over all times that both have saved, t = 0 among them if it is one.
 
+    Times that differ by rounding only are one.
+
     Attributes:
         slope_l1: ∫|(D u₁ - 1) - q₂| dx, where D u is the difference quotient on the cells; the mean over the times.
         slope_max: sup|(D u₁ - 1) - q₂|, the largest of all times.
@@ -25,6 +29,7 @@ class Comparison(NamedTuple):
         height_sup: sup|u₁ - u₂|, the largest of all times.
         kinks: |x₁ - x₂| of the kinks whose jump exceeds 0.25, the mean over those times after the start at which both
             runs see as many; NaN if there are none.
+        shared_times: how many times that is.
     """
 
     slope_l1: float
@@ -32,6 +37,7 @@ class Comparison(NamedTuple):
     height_l1: float
     height_sup: float
     kinks: float
+    shared_times: int
 
 
 class Shared(NamedTuple):
@@ -42,6 +48,7 @@ class Shared(NamedTuple):
     height: u of both runs there, shape (2, times, cells + 1).
     slope: q of both runs, means over the cells of the coarser grid, shape (2, times, cells): of the first run from its
         u, D u - 1, where D is the difference quotient, so that a comparison with a second equation is one.
+    units: of the survey that both runs are of; None if one of them has none.
     """
 
     first: Array
@@ -50,16 +57,23 @@ class Shared(NamedTuple):
     x_cell: Array
     height: Array
     slope: Array
+    units: Units | None
 
 
 def shared(first: Run, second: Run) -> Shared:
     """Both runs where they can be compared.
 
     The grids must be the same, or one a refinement of the other by a whole number. Raises InputError otherwise, or if
-    the runs share no saved time.
+    the runs share no saved time, or are of surveys in different units.
     """
-    times, i, j = np.intersect1d(first.time, second.time, return_indices=True)
-    if times.size == 0:
+    if first.units and second.units and not first.units.same(second.units):
+        raise InputError(
+            f"the runs are of surveys in different units ({first.units}; and {second.units}), so that equal numbers "
+            "are not equal lengths; compare runs of one length, critical_slope and top",
+            ABOUT,
+        )
+    i, j = _shared_times(first.time, second.time)
+    if i.size == 0:
         raise InputError("the runs share no saved time, so they cannot be compared", ABOUT)
     cells = min(first.cells, second.cells)
     ends = [(float(run.x[0]), float(run.x[-1]) + 0.0) for run in (first, second)]
@@ -77,20 +91,32 @@ def shared(first: Run, second: Run) -> Shared:
     coarse = first if first.cells == cells else second
     height = np.stack([run.u[at][:, :: run.cells // cells] for run, at in ((first, i), (second, j))])
     dx = float(np.ptp(first.x)) / cells
-    means = second.q[j].reshape(times.size, cells, -1).mean(axis=2)
-    return Shared(i, j, coarse.x, coarse.x_cell, height, np.stack([np.diff(height[0], axis=1) / dx - 1.0, means]))
+    means = second.q[j].reshape(j.size, cells, -1).mean(axis=2)
+    slope = np.stack([np.diff(height[0], axis=1) / dx - 1.0, means])
+    return Shared(i, j, coarse.x, coarse.x_cell, height, slope, first.units if second.units else None)
+
+
+def _shared_times(first: Array, second: Array) -> tuple[Array, Array]:
+    """Numbers of the times in each that are in both, to rounding; each is taken once."""
+    nearest = np.searchsorted(0.5 * (second[1:] + second[:-1]), first)
+    near = np.flatnonzero(np.abs(first - second[nearest]) <= SAME_TIME * max(first[-1], second[-1]))
+    j, once = np.unique(nearest[near], return_index=True)
+    return near[once], j
 
 
 def compare(first: Run, second: Run) -> Comparison:
     """How far two runs are apart on the coarser of their grids and at the times that both have saved.
 
     Raises InputError if the grids have not the same ends, if the cells of neither are a whole number of times those of
-    the other, or if the runs share no saved time.
+    the other, if the runs share no saved time, or if both are of surveys, in different units.
     """
+    for run in (first, second):
+        instance("run", run, Run)
     both = shared(first, second)
-    times, dx = first.time[both.first], float(np.ptp(both.x)) / both.x_cell.size
+    dx = float(np.ptp(both.x)) / both.x_cell.size
     height, slope = both.height[0] - both.height[1], both.slope[0] - both.slope[1]
-    apart = [kink_distances(first, second, t) for t in times if t > 0]
+    moments = zip(both.first.tolist(), both.second.tolist(), strict=True)
+    apart = [kink_distances(first.kinks_at(i), second.kinks_at(j)) for i, j in moments if first.time[i] > 0]
     pairs = np.concatenate(apart) if apart else np.empty(0)
     return Comparison(
         slope_l1=float(np.mean(dx * np.abs(slope).sum(axis=1))),
@@ -98,12 +124,13 @@ def compare(first: Run, second: Run) -> Comparison:
         height_l1=float(np.mean(dx * np.abs(height).sum(axis=1))),
         height_sup=float(np.max(np.abs(height))),
         kinks=float(np.mean(pairs)) if pairs.size else float("nan"),
+        shared_times=both.first.size,
     )
 
 
-def kink_distances(first: Run, second: Run, time: float) -> Array:
-    """|x₁ - x₂| of the kinks stronger than STRONG at a saved time, from the left; empty if the runs see not as many."""
-    places = [np.sort([k.x for k in run.kinks if k.time == time and k.jump > STRONG]) for run in (first, second)]
+def kink_distances(first: Sequence[KinkRecord], second: Sequence[KinkRecord]) -> Array:
+    """|x₁ - x₂| of the kinks stronger than STRONG of one time, from the left; empty if they are not as many."""
+    places = [np.sort([k.x for k in kinks if k.jump > STRONG]) for kinks in (first, second)]
     return np.abs(places[0] - places[1]) if places[0].size == places[1].size else np.empty(0)
 
 
@@ -113,7 +140,9 @@ def observed_order(cells: Sequence[float], errors: Sequence[float]) -> float:
     NaN if an error or a number of cells is not positive, or no finite number, or if there are fewer than two different
     numbers of cells. Raises InputError if there are not as many errors as numbers of cells.
     """
-    n, e = np.asarray(cells, dtype=float), np.asarray(errors, dtype=float)
+    n, e = as_numbers(cells), as_numbers(errors)
+    if n is None or e is None:
+        raise InputError(f"cells = {shown(cells)} and errors = {shown(errors)} must be lists of numbers", ABOUT)
     same_length(cells=n, errors=e)
     if np.unique(n).size < 2 or not np.all((n > 0) & np.isfinite(e) & (e > 0)):
         return float("nan")

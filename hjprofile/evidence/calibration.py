@@ -17,7 +17,10 @@ import numpy as np
 from hjprofile.errors import InputError, RunError, by_last_part, did_you_mean
 from hjprofile.problem.case import Case, load_case, resolved_case
 from hjprofile.problem.erosion import located
+from hjprofile.problem.heights import HIGHEST, without_height
+from hjprofile.problem.lists import as_numbers
 from hjprofile.problem.profiles import Units
+from hjprofile.problem.ranges import number, plain, shown
 from hjprofile.solvers.fronts import heights_at_end
 from hjprofile.solvers.run import Array
 
@@ -98,7 +101,9 @@ class _Model:
     """Heights after, as a function of the logarithms z of the parameters over their starting values."""
 
     def __init__(self, path: str | Path, vary: Sequence[str]):
-        self.path, self.names = path, list(vary)
+        self.path, self.names = path, plain(vary)
+        if not isinstance(self.names, list) or not all(isinstance(name, str) for name in self.names):
+            raise InputError(f'vary = {shown(vary)} must be a list of keys, as in ["time.end"]')
         self.first = load_case(path)
         self.table = _resolved(self.first)
         offered = {
@@ -206,8 +211,7 @@ def fit(case: str | Path, x: Array, height: Array, vary: Sequence[str], sigma: f
     from scipy.optimize import least_squares
     from scipy.special import chdtrc, ndtri, stdtrit
 
-    if sigma is not None and not (np.isfinite(sigma) and sigma > 0.0):
-        raise InputError(f"sigma = {sigma} must be a positive number")
+    sigma = None if sigma is None else number("sigma", sigma)
     started = time.perf_counter()
     model = _Model(case, vary)
     at, measured, fine = _on_the_slope(model, x, height)
@@ -269,9 +273,13 @@ def _on_the_slope(model: _Model, x: Array, height: Array) -> tuple[Array, Array,
 
     Raises InputError if they are too few.
     """
-    x, height = np.asarray(x, dtype=float), np.asarray(height, dtype=float)
-    if not (x.ndim == 1 and x.shape == height.shape and np.all(np.isfinite([x, height])) and np.all(np.diff(x) > 0)):
+    x, height = (v if (v := as_numbers(given)) is not None else np.array(np.nan) for given in (x, height))
+    fits = x.ndim == 1 and x.shape == height.shape and np.all(np.abs([x, height]) <= HIGHEST)
+    if not (fits and np.all(np.diff(x) > 0)):
         raise InputError("the survey after must be two lists of as many finite numbers, x increasing")
+    if (none := without_height(x, height)).any():
+        i = int(np.argmax(none))
+        raise InputError(f"the survey after has {height[i]:g} at x = {x[i]:g}, which is not a measured height; omit it")
     begin = model.first.problem.profile.start() if model.surveyed else model.first.grid.left
     last = float(model.units.x(0.0))
     first = last - float(f"{last - float(model.units.x(begin)):.9g}")  # less rounding: 0 shall read as 0

@@ -13,6 +13,7 @@ import numpy as np
 from hjprofile.errors import InputError, RunError
 from hjprofile.problem import CARRY_STEPS, Problem
 from hjprofile.problem.grid import Grid
+from hjprofile.problem.ranges import instance
 from hjprofile.solvers.characteristics import FINEST, solve_characteristics
 from hjprofile.solvers.closed_forms import closed_form
 from hjprofile.solvers.fronts import track_fronts
@@ -79,6 +80,8 @@ def chart(
     out there. Raises InputError if no time passes, if a coefficient is prescribed, or if the slope is critical at all
     of these times but the first; RunError if no method reaches the end.
     """
+    instance("problem", problem, Problem)
+    instance("grid", grid, Grid)
     if not problem.end > 0.0:
         raise InputError(
             f"{case}: end = {problem.end:g}; a chart needs an end above 0, for it times what happens until then"

@@ -19,6 +19,7 @@ from hjprofile.evidence.accuracy import Comparison, compare, observed_order
 from hjprofile.problem import Problem
 from hjprofile.problem.case import Case, load_case
 from hjprofile.problem.grid import Grid
+from hjprofile.problem.ranges import instance
 from hjprofile.solvers.characteristics import solve_characteristics
 from hjprofile.solvers.fronts import track_fronts
 from hjprofile.solvers.methods import solve_conservative, solve_hj
@@ -123,6 +124,8 @@ def check_consistency(
     factor nor its third witness says anything, and they are left out. Under a law of linear growth only those of the
     methods that carry vertical steps are made (theory, §14). Raises InputError and RunError as `check`.
     """
+    instance("problem", problem, Problem)
+    instance("grid", grid, Grid)
     steep = problem.law.grows_linearly
     finest = min(max(grid.cells, LEAST_CELLS), MOST_CELLS) // 8 * 8
     ladder = [finest // 8, finest // 4, finest // 2, finest]

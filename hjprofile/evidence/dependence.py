@@ -29,6 +29,7 @@ from hjprofile.problem.case import DEFAULT_CFL
 from hjprofile.problem.coefficient import tabulated
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
+from hjprofile.problem.ranges import instance
 from hjprofile.solvers.hj import scheme
 from hjprofile.solvers.march import MOST_STEPS
 from hjprofile.solvers.methods import solve_hj
@@ -80,6 +81,8 @@ def dependence(
     InputError where something flows in, no time passes or the slope is critical at all saved times but the first;
     RunError where a run stops.
     """
+    instance("problem", problem, Problem)
+    instance("grid", grid, Grid)
     try:
         problem.check_method(METHOD)
     except InputError as error:

@@ -12,6 +12,8 @@ from hjprofile.errors import InputError, RunError
 from hjprofile.evidence.accuracy import compare, observed_order
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
+from hjprofile.problem.lists import numbers
+from hjprofile.problem.ranges import instance
 from hjprofile.solvers.methods import HJ_METHODS, solve_conservative, solve_hj
 from hjprofile.solvers.run import Run
 
@@ -40,7 +42,7 @@ class Fractional(NamedTuple):
 
 
 def fractional_steps(
-    problem: Problem, grid: Grid, method: str = "conservative", refresh: Sequence[float] = ()
+    problem: Problem, grid: Grid, method: str = "conservative", refresh: Sequence[float] | None = None
 ) -> Fractional:
     """S^Δt [eq1-Deltat] for several Δt against the same method on the same grid with its factor anew in every step.
 
@@ -49,10 +51,12 @@ def fractional_steps(
     default Δt is a fifth of the problem's end, and a half, a quarter and an eighth of that. The times compared at are
     TIMES even ones. Raises InputError where no time passes, and RunError if a run does not reach the end.
     """
+    instance("problem", problem, Problem)
     if not problem.end > 0.0:
         raise InputError(f"end = {problem.end:g}; a study of fractional steps needs an end above 0")
     problem = replace(problem, snapshots=np.linspace(0.0, problem.end, TIMES).tolist())
-    lengths = sorted(refresh or [problem.end / n for n in (5, 10, 20, 40)], reverse=True)
+    parts = [problem.end / n for n in (5, 10, 20, 40)]
+    lengths = sorted(numbers("refresh", parts if refresh is None else refresh).tolist(), reverse=True)
 
     def solved(length: float | None) -> Run:
         solver = solve_hj if method in HJ_METHODS else solve_conservative

@@ -11,6 +11,8 @@ import numpy as np
 from hjprofile.errors import RunError
 from hjprofile.problem import LAYER_METHOD, Problem
 from hjprofile.problem.grid import Grid
+from hjprofile.problem.lists import numbers
+from hjprofile.problem.ranges import instance
 from hjprofile.solvers.methods import solve_conservative
 
 
@@ -34,8 +36,9 @@ def slow_erosion(problem: Problem, grid: Grid, thicknesses: Sequence[float], cfl
 
     The limit itself comes first, with the thickness 0. Raises RunError if a run stops early.
     """
+    instance("problem", problem, Problem)
     departures, limit = [], None
-    for thickness in (0.0, *thicknesses):
+    for thickness in (0.0, *numbers("thickness", thicknesses).tolist()):
         run = solve_conservative(replace(problem, thickness=thickness), grid, LAYER_METHOD, cfl)
         if not run.done:
             raise RunError(f"thickness = {thickness:g}: {run.status}")

@@ -17,6 +17,7 @@ from hjprofile.errors import InputError
 from hjprofile.monitors.bounds import HIGHER_ORDER, LOCAL, MONOTONE, TELESCOPING, BoundsMonitor, Promises
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
+from hjprofile.problem.ranges import instance
 from hjprofile.solvers import conservation, hj
 from hjprofile.solvers.grid_law import GridLaw, grid_law
 from hjprofile.solvers.high_order import ssp_rk2
@@ -121,6 +122,8 @@ def stability(case: str, problem: Problem, grid: Grid, progress: Callable[[float
     On CELLS cells. Raises InputError where something flows in, no time passes, the slope is critical all over, or a
     coefficient is prescribed.
     """
+    instance("problem", problem, Problem)
+    instance("grid", grid, Grid)
     problem.check_method("")
     if problem.line == "whole":
         raise InputError(f"{case}: a scan is of the half line; set line = 'half'")

@@ -113,17 +113,20 @@ def members(case: str | Path, vary: Mapping[str, list[Any]]) -> list[Member]:
     count = math.prod(map(len, vary.values()))
     if count > MOST:
         raise InputError(f"the values make {count} members; a sweep has at most {MOST}")
-    made, usable = [], [set[int]() for _ in vary]
+    made: list[Member] = []
+    usable, refused = [set[int]() for _ in vary], [dict[int, str]() for _ in vary]
     for places in product(*(range(len(values)) for values in vary.values())):
         chosen = [values[i] for values, i in zip(vary.values(), places, strict=True)]
         made.append(_member(path, content, dict(zip(vary, chosen, strict=True))))
-        if not made[-1].refused:
-            for used, i in zip(usable, places, strict=True):
+        for used, why, i in zip(usable, refused, places, strict=True):
+            if made[-1].refused:
+                why.setdefault(i, made[-1].refused)
+            else:
                 used.add(i)
-    for column, ((key, values), used) in enumerate(zip(vary.items(), usable, strict=True)):
-        for i, value in enumerate(values):
+    for (key, values), used, why in zip(vary.items(), usable, refused, strict=True):
+        for i in range(len(values)):
             if i not in used:
-                raise InputError(next(m.refused for m in made if m.values[column] == value))
+                raise InputError(why[i])
         if len({text_of(value) for value in values}) < len(values):
             raise InputError(f"{key} has a value twice: {', '.join(map(text_of, values))}")
     return made

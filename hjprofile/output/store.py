@@ -20,6 +20,7 @@ import hjprofile
 from hjprofile.errors import InputError
 from hjprofile.output.faults import fault_of
 from hjprofile.output.folder import ResultFolder, owner_of_run
+from hjprofile.problem.ranges import as_path, instance
 from hjprofile.problem.stored import read_profile
 from hjprofile.problem.units import Units
 from hjprofile.solvers.run import FIELDS, UNITS, Event, KinkRecord, Run, Verdict, VerticalStep
@@ -52,7 +53,8 @@ def write_run(
     A helper draws the pictures while the data are written. If a picture or the VTK files cannot be made, the data are
     complete and a UserWarning says so.
     """
-    place = ResultFolder(folder, owner_of_run(run.case)).open()
+    instance("run", run, Run)
+    place = ResultFolder(as_path("folder", folder), owner_of_run(run.case)).open()
     written, files = write_results(run, place, vtk, plots, helper)
     for caution in written.cautions[len(run.cautions) :]:
         warnings.warn(caution, stacklevel=2)
@@ -231,7 +233,7 @@ def to_csv(header: Iterable[str], rows: Iterable[tuple]) -> str:
 
 def load_run(folder: str | Path) -> Run:
     """Return a run read back from its result folder. Raises InputError if there is none, or one that is damaged."""
-    folder = Path(folder)
+    folder = as_path("folder", folder)
     try:
         arrays, attributes = read_profile(folder / "profile.nc")
         text = {name: attributes[name].decode() for name in ("method", "case", "status")}

@@ -19,6 +19,7 @@ from hjprofile.output.archive import pack, unpack
 from hjprofile.output.folder import MEMBERS, ResultFolder, owner_of, write_whole
 from hjprofile.output.store import to_csv, to_json
 from hjprofile.problem.case import find_case
+from hjprofile.problem.ranges import plain, shown
 from hjprofile.solvers.run import Array
 
 KEPT = "members"  # folder of what is done
@@ -74,6 +75,8 @@ def sweep(
     are kept there as they are done: with `resume` those are not run again. Raises InputError for bad input, before
     anything is run; RunError if workers are lost or the sweep is interrupted.
     """
+    if not isinstance(vary, Mapping) or not all(isinstance(key, str) for key in vary):
+        raise InputError(f"vary = {shown(vary)} must be a table of keys and their values")
     choices = {key: _list(key, values) for key, values in vary.items()}
     made = members(case, choices)
     outcomes: dict[int, Outcome] = {i: Outcome(m.refused) for i, m in enumerate(made) if m.refused}
@@ -119,11 +122,10 @@ def sweep(
 
 
 def _list(key: str, values: Any) -> list[Any]:
-    if isinstance(values, np.ndarray):
-        return values.tolist()
-    if isinstance(values, (str, Mapping)) or not isinstance(values, Iterable):
+    scalar = isinstance(values, np.ndarray) and values.ndim == 0
+    if scalar or isinstance(values, (str, Mapping)) or not isinstance(values, Iterable):
         raise InputError(f"{key} needs a list of values, one or more")
-    return list(values)
+    return [plain(value) for value in values]
 
 
 def _keep(folder: Path, member: Member, outcome: Outcome) -> None:

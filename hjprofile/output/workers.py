@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
 
+MOST_WORKERS = 1000  # processes of one machine
+
+
 @contextmanager
 def drawing_helper(wanted: bool) -> Iterator[Executor | None]:
     """A process that draws pictures: it loads what that takes while this one solves. None where it would not help."""
@@ -52,8 +55,8 @@ def processes(workers: int | None) -> Iterator[Executor]:
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
-    if workers is not None and workers < 1:
-        raise InputError(f"--workers {workers} must be 1 or more", about="the-command-line")
+    if workers is not None and not 1 <= workers <= MOST_WORKERS:
+        raise InputError(f"--workers {workers} must be from 1 to {MOST_WORKERS}", about="the-command-line")
     own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     pool = Workers if hasattr(signal, "pthread_sigmask") else ProcessPoolExecutor
     with pool(workers or own, multiprocessing.get_context("spawn"), _ward, (os.getpid(),)) as executor:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,9 @@ from hjprofile.problem.coefficient import Coefficient
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.line import moved, tail
+from hjprofile.problem.lists import as_numbers
 from hjprofile.problem.profiles import TAIL, Profile
+from hjprofile.problem.ranges import SAME_TIME, instance, number, plain, shown
 
 LAYER_METHOD = "conservative-telescoping"  # for its flux the bed loses exactly what the layer gains
 # These move a vertical step at its right speed
@@ -20,6 +23,7 @@ CARRY_STEPS = "telescoping", "conservative-telescoping", "conservative", "fronts
 LINES = "half", "whole"
 OFF_GRID = "fronts", "characteristics", "auto"
 LONGEST_TITLE = 500  # characters; a picture wraps them into a dozen lines
+FAR_LEFT = 4.0  # lengths of a survey that a domain may have before its left end looks like one in metres
 MOST_REFRESHES = 1_000_000  # of a factor that is kept for a while, in a run
 
 
@@ -51,19 +55,23 @@ class Problem:
     line: str = "half"
 
     def __post_init__(self) -> None:
+        instance("law", self.law, ErosionLaw)
+        instance("profile", self.profile, Profile)
+        instance("title", self.title, str)
         if len(self.title) > LONGEST_TITLE:
             raise InputError(f"title has {len(self.title)} characters; at most {LONGEST_TITLE} are allowed")
-        if not (np.isfinite(self.end) and self.end >= 0):
-            raise InputError(f"end = {self.end} must be a number, 0 or more")
-        if not (np.isfinite(self.thickness) and self.thickness >= 0):
-            raise InputError(f"thickness = {self.thickness} must be a number, 0 or more")
+        if self.coefficient is not None:
+            instance("coefficient", self.coefficient, Coefficient)
+        for name in ("end", "thickness"):
+            object.__setattr__(self, name, number(name, getattr(self, name)))
+        object.__setattr__(self, "snapshots", _count_or_times(self.snapshots, self.end))
         if self.thickness and self.law.name != "rational":
             raise InputError(
                 f"thickness = {self.thickness:g} needs the law 'rational', not {self.law.name!r}: the model with a "
                 "rolling layer has no other"
             )
         if self.line not in LINES:
-            raise InputError(f"line = {self.line!r} is not known; allowed are {', '.join(map(repr, LINES))}")
+            raise InputError(f"line = {shown(self.line)} is not known; allowed are {', '.join(map(repr, LINES))}")
         if self.thickness and self.line == "whole":
             raise InputError(f"thickness = {self.thickness:g} needs line = 'half': grains that start at the top")
         changes = {
@@ -74,36 +82,41 @@ class Problem:
         }
         if sum(changes.values()) > 1:
             raise InputError(f"{' and '.join(name for name, asked in changes.items() if asked)} do not go together")
-        if isinstance(self.snapshots, (int, np.integer)):
-            if self.snapshots < 1 or isinstance(self.snapshots, bool):
-                raise InputError(f"snapshots = {self.snapshots} must be 1 or more, or a list of times")
-            if 0 < self.end < min(self.snapshots, 10**9) * np.finfo(float).tiny:
-                raise InputError(f"end = {self.end} is too small for {self.snapshots} snapshots")
-            return
-        times = np.asarray(self.snapshots, dtype=float)
-        if times.ndim != 1 or times.size == 0 or not np.all(np.isfinite(times)):
-            raise InputError(f"snapshots = {self.snapshots!r} must be a count or a list of times")
-        if np.any(np.diff(times) <= 0):
-            raise InputError(f"snapshots = {times.tolist()} must increase")
-        outside = times[(times < 0) | (times > self.end)]
-        if outside.size:
-            raise InputError(f"snapshots holds {outside[0]:g}; times must lie between 0 and end = {self.end:g}")
+        self._check_units()
+
+    def _check_units(self) -> None:
+        """Raises InputError if the coefficient is known in other units than the profile: its x is another place."""
+        units = self.profile.units
+        known = self.coefficient.units if self.coefficient is not None else None
+        if units and known and not units.same(known):
+            raise InputError(f"the coefficient is of a slope with {known}, and the profile has {units}; give both one")
 
     @property
     def kept(self) -> int:
         """How many times are kept."""
-        if not isinstance(self.snapshots, (int, np.integer)):
+        if not isinstance(self.snapshots, int):
             return len(self.snapshots)
-        return int(self.snapshots) if self.end else 1
+        return self.snapshots if self.end else 1
 
     @property
     def times(self) -> np.ndarray:
         """The times that are kept, increasing."""
-        if not isinstance(self.snapshots, (int, np.integer)):
-            return np.asarray(self.snapshots, dtype=float)
+        if not isinstance(self.snapshots, int):
+            return np.array(self.snapshots)
         if self.end == 0:
             return np.zeros(1)
-        return np.linspace(0.0, self.end, self.snapshots) if self.snapshots > 1 else np.array([float(self.end)])
+        return np.linspace(0.0, self.end, self.snapshots) if self.snapshots > 1 else np.array([self.end])
+
+    def caution(self, left: float) -> str | None:
+        """A reason to doubt any solution on a domain that begins at `left`: it is far longer than the survey."""
+        start, units = self.profile.start(), self.profile.units
+        if units is None or left >= FAR_LEFT * start:
+            return None
+        return (
+            f"the survey covers only {start / left:.2g} of the domain, which begins at left = {left:g}: left is in "
+            f"exchange lengths, of {units.length:g} in the survey's unit; set it to {1.05 * start - 0.05:.4g}, or "
+            "leave it out"
+        )
 
     def grid(self, tail: float = TAIL) -> Grid:
         """A grid over the profile, for methods whose accuracy does not depend on it. Raises InputError if unknown."""
@@ -130,14 +143,15 @@ class Problem:
             )
         if refresh is None:
             return
+        refresh = number("refresh", refresh)
         if method in OFF_GRID:
             raise InputError(
                 f"refresh applies to methods on a grid; {method} follows the invariant I, which a factor that is kept "
                 "does not have; leave it out"
             )
-        if not (0.0 < refresh < np.inf and self.end / refresh <= MOST_REFRESHES):
+        if not self.end <= MOST_REFRESHES * refresh:
             raise InputError(
-                f"refresh = {refresh:g} must be a positive number, and at least end / {MOST_REFRESHES:,} = "
+                f"refresh = {refresh:g} must be at least end / {MOST_REFRESHES:,} = "
                 f"{self.end / MOST_REFRESHES:g}; leave it out to take the factor anew in every step"
             )
         if self.thickness or self.law.grows_linearly or self.line == "whole":
@@ -149,6 +163,7 @@ class Problem:
     @np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks refuse
     def check(self, grid: Grid, method: str, refresh: float | None = None) -> None:
         """Raises InputError if the problem cannot be solved on this grid by this method."""
+        instance("grid", grid, Grid)
         self.check_method(method, refresh)
         grid.check_memory(self.kept)
         self.check_line(grid)
@@ -168,3 +183,26 @@ class Problem:
         self.profile.check(grid, self.law)
         if self.line == "whole":
             tail(self.profile, grid.right, self.law)
+
+
+def _count_or_times(given: Any, end: float) -> int | tuple[float, ...]:
+    """A count of saved times, or the times. A time that differs from 0 or from `end` by rounding only is that time.
+
+    Raises InputError.
+    """
+    given = plain(given)
+    if isinstance(given, int):
+        if given < 1 or isinstance(given, bool):
+            raise InputError(f"snapshots = {shown(given)} must be 1 or more, or a list of times")
+        return given
+    times = as_numbers(given)
+    if times is None or times.ndim != 1 or times.size == 0 or not np.all(np.isfinite(times)):
+        raise InputError(f"snapshots = {shown(given)} must be a count or a list of times")
+    times[np.abs(times - end) <= SAME_TIME * end] = end
+    times[(times < 0.0) & (times >= -SAME_TIME * end)] = 0.0
+    if np.any(times[1:] <= times[:-1]):
+        raise InputError(f"snapshots = {shown(times)} must increase")
+    outside = times[(times < 0) | (times > end)]
+    if outside.size:
+        raise InputError(f"snapshots holds {outside[0]:g}; times must lie between 0 and end = {end:g}")
+    return tuple((times + 0.0).tolist())

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import tomli_w
@@ -17,6 +17,7 @@ import tomli_w
 from hjprofile.errors import InputError, did_you_mean
 from hjprofile.problem import LONGEST_TITLE, Problem, coefficient, erosion, profiles
 from hjprofile.problem.grid import Grid
+from hjprofile.problem.ranges import as_number, as_path, number, plain, shown
 from hjprofile.problem.survey import survey
 
 DEFAULT_METHOD = "local-lax-friedrichs"
@@ -31,8 +32,6 @@ ABOUT = {  # section -> heading of the page on errors
     "time": "time-and-snapshots",
     "solver": "method-and-tolerance",
 }
-
-LONGEST_SHOWN = 400  # characters of a value in a message
 
 
 @dataclass(frozen=True)
@@ -82,18 +81,18 @@ class _Section:
         hint = f" (is {near[0]!r} meant for it?)" if near else ""
         return self.error(f"{key} is missing{hint}; it must be {allowed}", "a-key-that-is-missing")
 
-    def take(self, key: str, kind: Callable[[Any], Any], default: Any = ...) -> Any:
+    def take(self, key: str, kind: _Kind, default: Any = ...) -> Any:
         self.known.append(key)
         if key not in self.values:
             if default is ...:
-                raise self.missing(key, str(kind.__doc__))
+                raise self.missing(key, kind.words)
             return default
         value = self.values.pop(key)
         try:
-            return kind(value)
+            return kind.read(value)
         except (TypeError, ValueError):
             hint = " (without quotes)" if isinstance(value, str) and _is_number(value) else ""
-            message = f"{key} = {_shown(value)} must be {kind.__doc__}{hint}"
+            message = f"{key} = {shown(value)} must be {kind.words}{hint}"
             raise self.error(message, "a-value-of-the-wrong-kind") from None
 
     def finish(self) -> None:
@@ -104,73 +103,59 @@ class _Section:
             raise self.error(message, "a-misspelt-key")
 
 
-def _shown(value: Any) -> str:
-    """The value as a message shows it."""
-    with suppress(ValueError, RecursionError):  # a hexadecimal number of thousands of digits, a key of as many parts
-        if len(text := repr(value)) <= LONGEST_SHOWN:
-            return text
-    return "(too long to be shown)"
-
-
 def _is_number(text: str) -> bool:
     with suppress(ValueError):
         return bool(np.isfinite(float(text)))
     return False
 
 
-def _number(value: Any) -> float:
-    """a finite number"""
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+class _Kind(NamedTuple):
+    """What a value may be, in words, and how it is read: TypeError or ValueError for another."""
+
+    words: str
+    read: Callable[[Any], Any]
+
+
+def _of_type(kind: type) -> Callable[[Any], Any]:
+    def read(value: Any) -> Any:
+        if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+            raise TypeError
+        return value
+
+    return read
+
+
+def _read_number(value: Any) -> float:
+    if not np.isfinite(found := as_number(value)):
         raise TypeError
-    return float(value)
+    return found
 
 
-def _whole(value: Any) -> int:
-    """a whole number"""
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise TypeError
-    str(value)  # Python writes no number of more than 4300 digits, nor could a message
-    return value
-
-
-def _text(value: Any) -> str:
-    """a string"""
-    if not isinstance(value, str):
-        raise TypeError
-    return value
-
-
-def _switch(value: Any) -> bool:
-    """true or false"""
-    if not isinstance(value, bool):
-        raise TypeError
-    return value
-
-
-def _list(value: Any) -> list[float]:
-    """a list of finite numbers"""
-    if not isinstance(value, list):
-        raise TypeError
-    return [_number(v) for v in value]
-
-
-def _count_or_times(value: Any) -> int | list[float]:
-    """a whole number or a list of times"""
-    return _list(value) if isinstance(value, list) else _whole(value)
-
-
-def _positive(value: Any) -> float:
-    """a positive number"""
-    if not _number(value) > 0:
+def _read_positive(value: Any) -> float:
+    if not (found := _read_number(value)) > 0:
         raise ValueError
-    return float(value)
+    return found
 
 
-def _table(value: Any) -> dict:
-    """a table"""
-    if not isinstance(value, dict):
-        raise TypeError
-    return value
+def _read_whole(value: Any) -> int:
+    str(_of_type(int)(value))  # Python writes no number of more than 4300 digits, nor could a message
+    return int(value)
+
+
+def _read_list(value: Any) -> list[float]:
+    return [_read_number(v) for v in _of_type(list)(value)]
+
+
+_number = _Kind("a finite number", _read_number)
+_positive = _Kind("a positive number", _read_positive)
+_whole = _Kind("a whole number", _read_whole)
+_text = _Kind("a string", _of_type(str))
+_switch = _Kind("true or false", _of_type(bool))
+_list = _Kind("a list of finite numbers", _read_list)
+_count_or_times = _Kind(
+    "a whole number or a list of times", lambda v: _read_list(v) if isinstance(v, list) else _read_whole(v)
+)
+_table = _Kind("a table", _of_type(dict))
 
 
 def _profile_from_file(path: Path, function: str, file: str) -> profiles.Profile:
@@ -243,16 +228,28 @@ def _build(section: _Section, chooser: str, choices: Mapping[str, tuple[Callable
 def load_case(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Case:
     """Reads a case file; `overrides` replaces values by dotted key, as in {"domain.cells": 500}.
 
-    `path` may be the name of a case that comes with the package. Raises InputError, one sentence that names file,
-    key, value and what is allowed.
+    Values may be numpy's numbers and arrays, or tuples. `path` may be the name of a case that comes with the package.
+    Raises InputError, one sentence that names file, key, value and what is allowed.
     """
     path = find_case(path)
     content = read_case(path)
-    for dotted, value in (overrides or {}).items():
-        section, key = dotted.split(".")
-        if isinstance(content.setdefault(section, {}), dict):
-            content[section][key] = value
+    for key, value in _overriding(overrides).items():
+        section, dot, name = key.partition(".")
+        if not dot:
+            content[key] = value
+        elif isinstance(content.setdefault(section, {}), dict):
+            content[section][name] = value
     return parse_case(content, name=path.stem, source=str(path), base=path.parent)
+
+
+def _overriding(overrides: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Key -> value as TOML could hold it. Raises InputError for what is no key of a case."""
+    if not isinstance(overrides, (Mapping, type(None))):
+        raise InputError(f"overrides = {shown(overrides)} must be a table of keys and values", "a-case-file")
+    for key in overrides or {}:
+        if not isinstance(key, str) or key.count(".") > 1 or not all(key.split(".")):
+            raise InputError(f"{shown(key)} is not a key of a case; it is written section.key, or title", "a-case-file")
+    return {key: plain(value) for key, value in (overrides or {}).items()}
 
 
 def read_case(path: Path) -> dict[str, Any]:
@@ -329,8 +326,12 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
     checkpoint = output.take("checkpoint", _positive, DEFAULT_CHECKPOINT)
     for section in (layer, domain, time, solver, output):
         section.finish()
-    section = domain
+    section = solver
     try:
+        cfl = number("cfl", cfl)
+        section = output
+        checkpoint = number("checkpoint", checkpoint)
+        section = domain
         tail = min(profiles.TAIL, 0.01 * tolerance) if tolerance else profiles.TAIL
         grid = profile.grid(cells, tail) if left is None else Grid(left, cells, right)
         section = time
@@ -371,18 +372,18 @@ def resolved_case(
     snapshots = problem.snapshots
     return {
         "title": problem.title,
-        "erosion": dict(problem.law.table),
-        **({"layer": {"thickness": float(problem.thickness)}} if problem.thickness else {}),
-        "profile": dict(problem.profile.table),
-        **({} if problem.coefficient is None else {"coefficient": dict(problem.coefficient.table)}),
-        "domain": {"left": float(grid.left), "cells": int(grid.cells)}
-        | ({"line": "whole", "right": float(grid.right)} if problem.line == "whole" else {}),
+        "erosion": plain(problem.law.table),
+        **({"layer": {"thickness": problem.thickness}} if problem.thickness else {}),
+        "profile": plain(problem.profile.table),
+        **({} if problem.coefficient is None else {"coefficient": plain(problem.coefficient.table)}),
+        "domain": {"left": grid.left, "cells": grid.cells}
+        | ({"line": "whole", "right": grid.right} if problem.line == "whole" else {}),
         "time": {
-            "end": float(problem.end),
-            "snapshots": int(snapshots) if isinstance(snapshots, (int, np.integer)) else [float(t) for t in snapshots],
+            "end": problem.end,
+            "snapshots": snapshots if isinstance(snapshots, int) else list(snapshots),
         },
         "solver": {"method": method, "cfl": float(cfl)}
-        | ({} if tolerance is None else {"tolerance": tolerance})
+        | ({} if tolerance is None else {"tolerance": float(tolerance)})
         | ({} if refresh is None else {"refresh": float(refresh)}),
     }
 
@@ -398,7 +399,7 @@ def shipped_cases() -> dict[str, Path]:
 
 def find_case(case: str | Path) -> Path:
     """The file of a case given by its path or by the name of a shipped one."""
-    path = erosion.located(Path(), case)
+    path = erosion.located(Path(), as_path("case", case))
     try:
         if path.is_file():
             return path

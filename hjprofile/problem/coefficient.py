@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,9 @@ import numpy as np
 from hjprofile.errors import InputError, RunError
 from hjprofile.problem.erosion import load_function, located
 from hjprofile.problem.expressions import arithmetic
+from hjprofile.problem.ranges import RANGES, as_path, shown
 from hjprofile.problem.stored import read_profile
+from hjprofile.problem.units import Units
 
 Array = np.ndarray
 
@@ -30,6 +32,7 @@ class Coefficient:
         left, end: where k is known: for left <= x <= 0, 0 <= t <= end.
         content: a hash of the file or of the values that hold k; "" where `table` holds everything; None for a
             function of no file.
+        units: of the survey on whose slope k was found, else None.
     """
 
     function: Callable[[Any, Any], Any]
@@ -38,6 +41,7 @@ class Coefficient:
     left: float = -np.inf
     end: float = np.inf
     content: str | None = None
+    units: Units | None = None
 
     def values(self, t: Any, x: Any) -> Array:
         """k at times t and places x, arrays that broadcast against each other.
@@ -47,16 +51,16 @@ class Coefficient:
         t, x = np.asarray(t, dtype=float), np.asarray(x, dtype=float)
         with np.errstate(all="ignore"):
             try:
-                k = np.asarray(self.function(t, x), dtype=float)
+                k = np.asarray(self.function(t.copy(), x.copy()), dtype=float)  # it may write into what it is given
             except Exception as error:  # whatever a user's function raises
                 raise RunError(f"the coefficient cannot be evaluated: {type(error).__name__}: {error}") from error
             k = np.array(np.broadcast_to(k, np.broadcast_shapes(t.shape, x.shape)))
-            wrong = ~(np.isfinite(k) & (k > 0.0))
+            wrong = ~RANGES["k"].holds(k)
         if wrong.any():
             at = np.unravel_index(np.argmax(wrong), k.shape)
             t, x = np.broadcast_arrays(t, x)
             raise RunError(
-                f"the coefficient k = {k[at]:.6g} at t = {t[at]:.6g}, x = {x[at]:.6g} is not a positive number"
+                f"the coefficient k = {k[at]:.6g} at t = {t[at]:.6g}, x = {x[at]:.6g} is not {RANGES['k'].words}"
             )
         return k
 
@@ -84,7 +88,7 @@ def coefficient(k: str | Callable[..., Any], table: Mapping[str, Any] | None = N
         table = {"kind": "expression", "expression": k.strip()}
         return Coefficient(checked.value, table, "t" not in checked.used, content="")
     if not callable(k):
-        raise InputError(f"coefficient = {k!r} must be a function of t and x, or an expression in them")
+        raise InputError(f"coefficient = {shown(k)} must be a function of t and x, or an expression in them")
     name, home = getattr(k, "__name__", "k"), getattr(k, "__module__", "")
     table = table or {"kind": "python", "file": home, "function": name}
     try:
@@ -106,9 +110,11 @@ def stored_coefficient(result: str | Path, base: Path = Path()) -> Coefficient:
 
     ln K is linear in t and in x between the saved times and the nodes. Raises InputError if there is no such run.
     """
-    path = located(base, result) / "profile.nc"
+    path = located(base, as_path("result", result)) / "profile.nc"
     try:
-        arrays, _ = read_profile(path)
+        arrays, attributes = read_profile(path)
+        names = [field.name for field in fields(Units)]
+        units = Units(*(float(attributes[name]) for name in names)) if names[0] in attributes else None
     except OSError as error:
         why = error.strerror or error
         raise InputError(f"result = {str(result)!r} is not a result folder: {path} cannot be read: {why}") from None
@@ -120,7 +126,7 @@ def stored_coefficient(result: str | Path, base: Path = Path()) -> Coefficient:
     if time[0] > 0.0:
         raise InputError(f"result = {str(result)!r} begins at t = {time[0]:g}; K is needed from t = 0 on")
     table = {"kind": "run", "result": str(result)}
-    return tabulated(time, x, K, table)
+    return replace(tabulated(time, x, K, table), units=units)
 
 
 def tabulated(time: Array, x: Array, k: Array, table: Mapping[str, Any] | None = None) -> Coefficient:
@@ -158,7 +164,7 @@ def _over_arrays(k: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
     """k itself if it maps arrays element by element, else a loop over it."""
     t, x = np.array([[0.0], [0.25]]), np.array([-0.5, -0.25, 0.0])
     try:
-        values = np.broadcast_to(np.asarray(k(t, x), dtype=float), (2, 3))
+        values = np.broadcast_to(np.asarray(k(t.copy(), x.copy()), dtype=float), (2, 3))
         alone = [[float(k(float(a), float(b))) for b in x] for a in t[:, 0]]
         if np.allclose(values, alone, rtol=1e-12, atol=0.0, equal_nan=True):
             return k

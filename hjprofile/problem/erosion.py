@@ -20,6 +20,7 @@ from numpy.polynomial import Chebyshev
 from hjprofile.errors import InputError, did_you_mean
 from hjprofile.problem.expressions import arithmetic
 from hjprofile.problem.python_files import content_of
+from hjprofile.problem.ranges import number, shown
 
 Array = np.ndarray
 Function = Callable[[Any], Any]
@@ -182,8 +183,7 @@ def power(m: float) -> ErosionLaw:
 
     Raises InputError unless 1e-100 <= m <= 100.
     """
-    if not 1e-100 <= m <= 100.0:  # beyond, f is lost in underflow or overflow at ordinary slopes
-        raise InputError(f"m = {m} must be a positive number, at most 100 (and not below 1e-100: use the law 'log')")
+    m = number("m", m)
 
     def inverse(y):
         less = -m * np.asarray(y)  # (1+q)^-m - 1
@@ -192,7 +192,7 @@ def power(m: float) -> ErosionLaw:
     return ErosionLaw(
         f=lambda q: -np.expm1(-m * np.log1p(q)) / m,
         derivative=lambda q: np.exp(-(m + 1.0) * np.log1p(q)),
-        table={"law": "power", "m": float(m)},
+        table={"law": "power", "m": m},
         closed_inverse=inverse,
         content="",
     )
@@ -203,8 +203,9 @@ def expression(text: str, growth: str | None = None) -> ErosionLaw:
 
     Raises InputError for anything else, and for a law that breaks an assumption. `growth` as in `erosion_law`.
     """
+    f = arithmetic(text, "q").value
     table = {"law": "expression", "expression": text.strip()}
-    return replace(erosion_law(arithmetic(text, "q").value, table=table, growth=growth), content="")
+    return replace(erosion_law(f, table=table, growth=growth), content="")
 
 
 def erosion_law(
@@ -216,8 +217,11 @@ def erosion_law(
     `f` may take arrays, or single numbers only (slower). Raises InputError if an assumption of [eq:f] is broken. With
     growth = "linear" the last of them is replaced by f' -> η0 > 0 (theory, §14).
     """
-    if growth not in (None, LINEAR):
-        raise InputError(f"growth = {growth!r} must be 'linear', or left out for a law of sublinear growth")
+    if not (growth is None or (isinstance(growth, str) and growth == LINEAR)):
+        raise InputError(f"growth = {shown(growth)} must be 'linear', or left out for a law of sublinear growth")
+    for role, function in (("f", f), ("derivative", derivative), ("inverse", inverse)):
+        if not (callable(function) or (function is None and role != "f")):
+            raise InputError(f"{role} = {shown(function)} must be a function of one number or array")
     name = getattr(f, "__name__", "f")
     vectorised = _over_arrays(f)
     law = ErosionLaw(
@@ -225,7 +229,7 @@ def erosion_law(
         derivative=_over_arrays(derivative) if derivative is not None else differentiate(vectorised),
         table=dict(table or {"law": "python", "file": getattr(f, "__module__", ""), "function": name})
         | ({"growth": growth} if growth else {}),
-        closed_inverse=inverse,
+        closed_inverse=inverse and _of_a_copy(inverse),
     )
     check_assumptions(law, growth)
     return replace(law, eta0=_slope_at_infinity(law)) if growth else law
@@ -290,15 +294,20 @@ def load_function(path: Path, function: str) -> Loaded:
     return Loaded(f, content)
 
 
+def _of_a_copy(f: Function) -> Function:
+    """f of a copy of what it is given, into which it may write."""
+    return lambda q: f(np.array(q, dtype=float))
+
+
 def _over_arrays(f: Function) -> Function:
-    """f itself if it maps arrays element by element, else a loop over it."""
+    """f if it maps arrays element by element, else a loop over it; of a copy of what it is given."""
     probe = np.array([0.5, -0.3, 2.0])
     try:
-        values = np.asarray(f(probe), dtype=float)
+        values = np.asarray(f(probe.copy()), dtype=float)
         if values.shape == probe.shape and np.allclose(
             values, [float(f(float(q))) for q in probe], rtol=1e-12, atol=0, equal_nan=True
         ):
-            return f
+            return _of_a_copy(f)
     except Exception:  # whatever a scalar function raises when it is handed an array
         pass
     looped = np.vectorize(f, otypes=[float])
@@ -383,3 +392,4 @@ def check_assumptions(law: ErosionLaw, growth: str | None = None) -> None:
             NO_LAW,
         )
     refuse_convexity(q[1:] >= 100)
+    number("f'(0)", df[middle] + limit, NO_LAW)

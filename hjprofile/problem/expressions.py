@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hjprofile.errors import InputError, did_you_mean
+from hjprofile.problem.ranges import shown
 
 ABOUT = "an-expression"  # heading of the page on errors
 _FUNCTIONS = {name: getattr(np, name) for name in ("exp", "log", "log1p", "expm1", "sqrt")}
@@ -40,6 +41,8 @@ def arithmetic(text: str, *variables: str) -> Arithmetic:
     NaN. Raises InputError for anything else.
     """
     allowed = f"allowed are numbers, {', '.join(variables)}, + - * / ** and the functions {', '.join(_FUNCTIONS)}"
+    if not isinstance(text, str):
+        raise InputError(f"expression = {shown(text)} must be a string", ABOUT)
     if len(text) > 1000:
         raise InputError(f"expression is {len(text)} characters long; at most 1000 are allowed", ABOUT)
     used = set()

@@ -10,8 +10,10 @@ from functools import cached_property
 import numpy as np
 
 from hjprofile.errors import InputError
+from hjprofile.problem.ranges import number, read_only, whole
 
 FARTHEST, LOOKS = 4096.0, 2000  # how far down a function is looked at, and at how many places between x and 2x
+NARROWEST = 1e-6  # window, as a part of its distance from x = 0: rounding must not join its nodes
 NOISE = 1e-11  # of the difference quotients there
 
 
@@ -28,13 +30,16 @@ class Grid:
     right: float = 0.0
 
     def __post_init__(self) -> None:
-        if not np.isfinite(self.right):
-            raise InputError(f"right = {self.right} must be a finite number")
-        if not (np.isfinite(self.left) and self.left < self.right):
-            top = "a negative number: the top of the slope is at x = 0"
-            raise InputError(f"left = {self.left} must be {f'less than right = {self.right:g}' if self.right else top}")
-        if isinstance(self.cells, bool) or not isinstance(self.cells, (int, np.integer)) or self.cells < 4:
-            raise InputError(f"cells = {self.cells} must be a whole number, 4 or more")
+        right = number("right", self.right)
+        left = number("left", self.left, key="left of a window" if right else "left")
+        cells = whole("cells", self.cells, 4)
+        if not right - left > NARROWEST * abs(right):
+            raise InputError(f"left = {left} must be less than right = {right:g}")
+        for name, value in (("left", left), ("cells", cells), ("right", right)):
+            object.__setattr__(self, name, value)
+
+    def __reduce__(self) -> tuple[type[Grid], tuple[float, int, float]]:
+        return type(self), (self.left, self.cells, self.right)  # a copy in another process makes its own nodes
 
     @property
     def dx(self) -> float:
@@ -43,17 +48,17 @@ class Grid:
 
     @cached_property
     def nodes(self) -> np.ndarray:
-        """x_i, shape (cells + 1,); the last is exactly `right`."""
+        """x_i, shape (cells + 1,), read-only; the last is exactly `right`."""
         return self._at(np.arange(self.cells, -1, -1))
 
     @cached_property
     def centres(self) -> np.ndarray:
-        """Midpoints of the cells, shape (cells,)."""
+        """Midpoints of the cells, shape (cells,), read-only."""
         return self._at(np.arange(self.cells - 0.5, 0, -1))
 
     def _at(self, cells_from_right: np.ndarray) -> np.ndarray:
         x = (self.left - self.right) * (cells_from_right / self.cells)
-        return x + self.right if self.right else x
+        return read_only(x + self.right if self.right else x)
 
     def integral(self, values: np.ndarray) -> float:
         """∫ of a function given at the nodes, by the trapezoidal rule."""

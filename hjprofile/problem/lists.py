@@ -8,21 +8,37 @@ import numpy as np
 
 from hjprofile.errors import InputError
 from hjprofile.problem.grid import Grid
+from hjprofile.problem.ranges import RANGES, as_number, read_only, shown
 
 Array = np.ndarray
 
 
 def numbers(name: str, values: Any, least: int = 1) -> Array:
-    """As an array, shape (n,) with n >= least. Raises InputError if they are not that many finite numbers."""
-    try:
-        array = np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"{name} = {values!r} must be a list of numbers") from None
+    """A read-only copy, shape (n,), n >= least. Raises InputError if they are not so many numbers in their range."""
+    array = as_numbers(values)
+    if array is None:
+        raise InputError(f"{name} = {shown(values)} must be a list of numbers")
     if array.ndim != 1 or array.size < least:
-        raise InputError(f"{name} = {values!r} must be a list of at least {least} numbers")
-    if not np.all(np.isfinite(array)):
-        raise InputError(f"{name}[{np.argmin(np.isfinite(array))}] must be a finite number")
-    return array
+        raise InputError(f"{name} = {shown(values)} must be a list of at least {least} numbers")
+    allowed = RANGES[name]
+    if not np.all(inside := allowed.holds(array)):
+        i = int(np.argmin(inside))
+        raise InputError(f"{name}[{i}] = {array[i]:g} must be {allowed.words}")
+    return read_only(array)
+
+
+def as_numbers(values: Any) -> Array | None:
+    """A copy as an array of floats, or None where something else is among them, or lists of several lengths."""
+    if isinstance(values, (list, tuple)) and any(isinstance(v, (bool, np.bool_)) for v in values):
+        return None
+    try:
+        array = np.array(values)
+    except ValueError:
+        return None
+    if array.dtype == object and isinstance(values, (list, tuple)):  # integers that are too large for numpy's
+        array = np.array([as_number(v) for v in values])
+        return None if np.isnan(array).any() else array
+    return array.astype(float) if array.dtype.kind in "iuf" else None
 
 
 def same_length(**named: Array) -> None:

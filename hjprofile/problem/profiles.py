@@ -16,6 +16,7 @@ from hjprofile.errors import InputError
 from hjprofile.problem.erosion import Array, ErosionLaw
 from hjprofile.problem.grid import Grid, grid_from, start_of
 from hjprofile.problem.lists import above_minus_one, numbers, same_length, within
+from hjprofile.problem.ranges import number, shown
 from hjprofile.problem.units import Units
 
 TAIL = 1e-6  # mass and slope that a grid may cut off on the left; a grid solver's own error is larger
@@ -169,8 +170,6 @@ class Bumps(Profile):
     def __post_init__(self) -> None:
         a, c, w = (numbers(n, getattr(self, n)) for n in ("amplitudes", "centres", "widths"))
         same_length(amplitudes=a, centres=c, widths=w)
-        if np.any(w <= 0):
-            raise InputError(f"widths[{np.argmax(w <= 0)}] = {w[np.argmax(w <= 0)]:g} must be positive")
         for name, value in (("amplitudes", a), ("centres", c), ("widths", w)):
             object.__setattr__(self, name, value)
         self._check_slopes(0.0)
@@ -288,22 +287,20 @@ class Steady(Profile):
     kink: float | None = None
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.flux) and self.flux > 0):
-            raise InputError(f"flux = {self.flux} must be a positive number")
-        if self.kink is not None and not (np.isfinite(self.kink) and self.kink < 0):
-            raise InputError(f"kink = {self.kink} must be a negative number: the top of the slope is at x = 0")
+        object.__setattr__(self, "flux", number("flux", self.flux))
+        if self.kink is not None:
+            object.__setattr__(self, "kink", number("kink", self.kink))
 
     @property
     def table(self) -> Mapping[str, Any]:
-        kink = {} if self.kink is None else {"kink": float(self.kink)}
-        return {"kind": "steady", "flux": float(self.flux)} | kink
+        return {"kind": "steady", "flux": self.flux} | ({} if self.kink is None else {"kink": self.kink})
 
     @property
     def inflow(self) -> float:
         return self.flux if self.kink is None else 0.0
 
     def start(self, tail: float = TAIL) -> float:
-        return -np.inf if self.kink is None else float(self.kink)
+        return -np.inf if self.kink is None else self.kink
 
     def marks(self) -> Array:
         return np.empty(0) if self.kink is None else np.array([self.kink])
@@ -350,6 +347,10 @@ class Given(Profile):
     source: Mapping[str, Any] = field(default_factory=dict)
     content: str | None = None  # a hash of the file that holds u
 
+    def __post_init__(self) -> None:
+        if not callable(self.u):
+            raise InputError(f"u = {shown(self.u)} must be a function of x")
+
     @property
     def table(self) -> Mapping[str, Any]:
         return self.source or {"kind": "python", "file": "", "function": getattr(self.u, "__name__", "u")}
@@ -378,7 +379,7 @@ class Given(Profile):
     @np.errstate(all="ignore")  # in branches that the function does not use; `check` looks at the values
     def W(self, x: Array, law: ErosionLaw) -> Array:
         try:
-            u = np.asarray(self.u(x), dtype=float)
+            u = np.asarray(self.u(x.copy()), dtype=float)  # a function may write into what it is given
         except Exception:  # a function of single numbers
             u = None
         if u is None or u.shape != x.shape:
@@ -393,7 +394,7 @@ def kinks(positions: Sequence[float], amplitudes: Sequence[float]) -> Profile:
     many. q is 0 on the left; each amplitude has to exceed the q = u_x - 1 that it meets, which depends on the law and
     is looked at when a run begins. Raises InputError for other lists.
     """
-    return Kinks(np.asarray(positions), np.asarray(amplitudes))
+    return Kinks(positions, amplitudes)  # type: ignore[arg-type]
 
 
 def bumps(amplitudes: Sequence[float], centres: Sequence[float], widths: Sequence[float]) -> Profile:
@@ -402,7 +403,7 @@ def bumps(amplitudes: Sequence[float], centres: Sequence[float], widths: Sequenc
     q = u_x - 1 is in critical slopes, centres and widths in exchange lengths; widths are positive. Raises InputError
     for other lists, and where q is not above -1.
     """
-    return Bumps(np.asarray(amplitudes), np.asarray(centres), np.asarray(widths))
+    return Bumps(amplitudes, centres, widths)  # type: ignore[arg-type]
 
 
 def points(x: Sequence[float], q: Sequence[float]) -> Profile:
@@ -411,7 +412,7 @@ def points(x: Sequence[float], q: Sequence[float]) -> Profile:
     x is in exchange lengths, at most 0 on the half line, and never decreases; q = u_x - 1, in critical slopes, is above
     -1. Raises InputError for other lists.
     """
-    return Points(np.asarray(x), np.asarray(q))
+    return Points(x, q)  # type: ignore[arg-type]
 
 
 def steps(edges: Sequence[float], values: Sequence[float]) -> Profile:

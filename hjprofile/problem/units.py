@@ -8,6 +8,8 @@ import numpy as np
 
 from hjprofile.problem.erosion import Array
 
+SAME = 1e-9  # relative: what units may differ by and still be one
+
 
 @dataclass(frozen=True)
 class Units:
@@ -29,6 +31,22 @@ class Units:
 
     def height(self, u) -> Array:
         return self.height_top + self.length * self.critical_slope * np.asarray(u)
+
+    def __str__(self) -> str:
+        return (
+            f"length = {self.length:g}, critical_slope = {self.critical_slope:g}, top at x = {self.x_top:g}, "
+            f"height {self.height_top:g}"
+        )
+
+    def same(self, other: Units) -> bool:
+        """Whether the way back is one, to rounding, so that equal numbers are equal places and heights."""
+        near = SAME * self.length, SAME * self.length * self.critical_slope
+        return bool(
+            abs(self.length - other.length) <= near[0]
+            and abs(self.critical_slope - other.critical_slope) <= SAME * self.critical_slope
+            and abs(self.x_top - other.x_top) <= near[0]
+            and abs(self.height_top - other.height_top) <= near[1]
+        )
 
     @property
     def volume(self) -> float:

@@ -18,6 +18,7 @@ from hjprofile.monitors.snapshot_bounds import BOUNDS, SnapshotBounds
 from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid
+from hjprofile.problem.ranges import as_number, shown
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels import characteristics as kernels
 from hjprofile.solvers.kernels.dormand_prince import tableau
@@ -337,12 +338,12 @@ def solve_characteristics(
     Where the method cannot go on, `status` says when, where and why, and the last saved time is the last good one.
     Raises InputError for bad input and where a flux enters at the left end, and RunError if the data cannot be cut.
     """
-    asked, tolerance = tolerance, TOLERANCE if tolerance is None else tolerance
+    asked, tolerance = tolerance, TOLERANCE if tolerance is None else as_number(tolerance)
     if not FINEST <= tolerance <= COARSEST:
-        raise InputError(f"tolerance = {tolerance:g} must lie between {FINEST:g} and {COARSEST:g}")
+        raise InputError(f"tolerance = {shown(asked)} must lie between {FINEST:g} and {COARSEST:g}")
     if problem.profile.inflow:
         raise InputError("characteristics need q = 0 at the left end; this profile has a flux that enters there")
-    grid = grid or problem.grid()
+    grid = problem.grid() if grid is None else grid
     problem.check(grid, "characteristics")
     try:
         panels = cut_into_panels(problem, grid.left)

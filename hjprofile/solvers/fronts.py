@@ -20,6 +20,7 @@ from hjprofile.problem.case import resolved_case
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Kinks
+from hjprofile.problem.ranges import read_only, whole
 from hjprofile.solvers.data_resolution import EXACT, Resolution, compare_data, divided, fine_sample, log_slope
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels import fronts as kernels
@@ -32,6 +33,7 @@ from hjprofile.solvers.run import Array, Run, VerticalStep
 from hjprofile.solvers.vertical_steps import REACH, WEAK, StepTracker, Tracker, step_law
 from hjprofile.solvers.whole_line import also_on_the_whole_line
 
+MOST = 1_000_000  # fronts: the time for a run grows with their square
 FOLDS = 5000.0  # e-folds of K that are cut through: the time for a run grows with their square, 20 s for these
 WIDEST = 0.15  # spacing by which steps are measured, in lengths R'(0) over which q decays
 FINEST = 1 / 16  # part of the spacing below which the data do not shorten steps: it would take too long
@@ -85,7 +87,7 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts,
     law, profile = problem.law, problem.profile
     breaks = profile.breaks(law)
     start = profile.start(tail=1e-14)
-    start = left if not np.isfinite(start) else max(start, left)
+    start = max(start, left) if np.isfinite(start) and start < 0.0 else left
     spacing = min(-start / fronts, WIDEST * float(law.R_derivative(0.0)))
     finest, weak = spacing, np.inf
     if isinstance(profile, Kinks):
@@ -147,7 +149,7 @@ def _fans(
     `mean` holds q in the pieces right of the cuts. A fall of ln(1 + q) by more than `weak` from piece to piece is a
     jump that the profile does not state. One front would carry it as an expansion shock.
     """
-    downward = breaks[breaks[:, 1] > breaks[:, 2]]
+    downward = breaks[breaks[:, 1] > breaks[:, 2] + 1e-12]
     before = law.R(downward[:, 1])
     falls = np.log(before / law.R(downward[:, 2]))
     fans = dict(zip(downward[:, 0].tolist(), zip(downward[:, 1], before, falls, strict=True), strict=True))
@@ -308,7 +310,7 @@ def _proved(
     if data.kinks_only:  # the fronts are the profile
         return tracker, EXACT
     sample = fine_sample(problem, left)
-    W, K = tracker.read(sample.x)
+    W, K = tracker.read(read_only(sample.x))  # as the nodes of a grid are: one compiled form does for both
     with np.errstate(all="ignore"):
         return tracker, compare_data(problem, sample, W, np.log(K), tracker.falls())
 
@@ -331,7 +333,7 @@ def track_fronts(
     the left end, and RunError if fronts lose the slope before the first saved time. Where q comes so near to -1 later
     that a piece is no longer resolved, `status` says so and the last saved time is the last good one.
     """
-    return track_and_prove(problem, grid or problem.grid(), fronts, progress, exact)[0]
+    return track_and_prove(problem, problem.grid() if grid is None else grid, fronts, progress, exact)[0]
 
 
 def track_and_prove(
@@ -342,8 +344,7 @@ def track_and_prove(
     exact: bool | None = None,
 ) -> tuple[Run, Resolution]:
     """The run of `track_fronts` on the half line, and how well its fronts represent the profile."""
-    if fronts < 4:
-        raise InputError(f"fronts = {fronts} must be 4 or more")
+    fronts = whole("fronts", fronts, 4, MOST)
     profile = problem.profile
     if profile.inflow:
         raise InputError("front tracking needs q = 0 at the left end; this profile has a flux that enters there")
@@ -426,7 +427,7 @@ def heights_at_end(problem: Problem, left: float, x: Array, fronts: int) -> Arra
     """
     _, tracker, resolution = _begin(problem, left, fronts)
     arrived = tracker.advance(problem.end)
-    W, K = tracker.read(x)
+    W, K = tracker.read(read_only(x))  # as the nodes of a grid are: one compiled form does for both
     u = x + W + float(problem.profile.W(np.array([left]), problem.law)[0])
     if not resolution.holds:
         raise RunError(f"{fronts} fronts do not resolve the profile")

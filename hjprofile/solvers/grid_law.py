@@ -44,7 +44,7 @@ def grid_law(law: ErosionLaw, q: Array) -> GridLaw:
     ends = ((first + np.arange(pieces + 1)) << SHIFT).view(np.float64)
     h = np.diff(ends)
     with np.errstate(all="ignore"):
-        at_ends, slopes = law.f(ends - 1.0), law.derivative(ends - 1.0)
+        at_ends, slopes = np.array(law.f(ends - 1.0)), law.derivative(ends - 1.0)
     at_ends[np.searchsorted(ends, 1.0)] = 0.0  # f(0) = 0: a critical slope must stay
     c0, c1 = at_ends[:-1].copy(), slopes[:-1].copy()
     c2, d1 = (np.diff(at_ends) / h - c1) / h, np.diff(slopes) / h

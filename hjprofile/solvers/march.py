@@ -25,6 +25,7 @@ from hjprofile.solvers.run import Array, Breakdown, Halt, Keeper, Monitor, State
 
 STEP_FLOOR = 1e-9  # of the run's end: more steps than this allows would take days, ...
 PATIENCE = 20_000  # ... but the first ones can be much shorter than those after them: K falls, and hollows fill
+SMALL_CFL = 0.3  # below it short time steps are of the user's choice
 MOST_STEPS = 64  # at a time; fewer on coarse grids, so that between two states that monitors see ...
 MOST_WAY = 1 / 32  # ... nothing moves further than this part of the grid
 CLOSE_WAY = 3e-3  # ... of the grid and no further, where a monitor wants to know when something happened
@@ -323,7 +324,7 @@ def march(
             status = f"stopped at t = {pace.t:.6g}: {halt}"
         except _StepTooSmall:
             scheme.evaluate()
-            status = _small_step_sentence(scheme, problem, grid, pace.t, dt, pace.speed)
+            status = _small_step_sentence(scheme, problem, grid, pace.t, dt, pace.speed, cfl)
     if status != "done":
         if not recorder.rows or recorder.columns[0][recorder.rows - 1] < pace.t:
             recorder.save(pace.t, scheme)
@@ -336,13 +337,15 @@ def march(
     return Recording(times, W, q, K, status, pace.steps, (float(pace.shortest), float(pace.longest)), pace.seconds)
 
 
-def _small_step_sentence(scheme: Scheme, problem: Problem, grid: Grid, t: float, dt: float, speed: float) -> str:
+def _small_step_sentence(
+    scheme: Scheme, problem: Problem, grid: Grid, t: float, dt: float, speed: float, cfl: float
+) -> str:
     K = np.maximum(scheme.K[1:], scheme.K[:-1])
     fastest = int(np.argmax(K * problem.law.derivative(scheme.q)))
     return (
         f"stopped at t = {t:.6g}: the time step {dt:.3g} fell below {STEP_FLOOR:g} of the run, since K f' = "
-        f"{speed:.3g} at x = {grid.centres[fastest]:.6g} (K = {K[fastest]:.3g}, q = {scheme.q[fastest]:.6g}); "
-        "use fewer cells or an earlier end"
+        f"{speed:.3g} at x = {grid.centres[fastest]:.6g} (K = {K[fastest]:.3g}, q = {scheme.q[fastest]:.6g}) "
+        f"and cfl = {cfl:g}; use {'a larger cfl, ' if cfl < SMALL_CFL else ''}fewer cells or an earlier end"
     )
 
 

@@ -27,6 +27,7 @@ from hjprofile.problem.case import DEFAULT_CFL, DEFAULT_METHOD, Case, resolved_c
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.identity import identity
 from hjprofile.problem.profiles import TAIL
+from hjprofile.problem.ranges import as_number, instance, number, shown
 from hjprofile.solvers import conservation, hj
 from hjprofile.solvers.characteristics import COARSEST, FINEST, solve_characteristics
 from hjprofile.solvers.data_resolution import cells_resolve
@@ -69,6 +70,7 @@ def solve_hj(
     before it is taken anew (theory, §10; None: anew in every step). Raises InputError for bad input, and RunError if
     the run cannot start; one that breaks down later returns what was good, with the reason in `status`.
     """
+    instance("problem", problem, Problem)
     _known(method, HJ_METHODS)
     problem.check(grid, method, refresh)
     return _solve(problem, grid, method, cfl, progress, refresh=refresh)
@@ -88,6 +90,7 @@ def solve_conservative(
     its methods: that carries the flux over, and the two forms agree to rounding. Otherwise as `solve_hj`, with the same
     errors raised.
     """
+    instance("problem", problem, Problem)
     _known(method, CONSERVATIVE_METHODS)
     problem.check(grid, method, refresh)
     return _solve(problem, grid, method, cfl, progress, refresh=refresh)
@@ -99,9 +102,12 @@ def solve(problem: Problem, tolerance: float, grid: Grid | None = None, progress
     The result is read on `grid`, by default 2000 cells over the profile. `method` says what was chosen, `account` why,
     and `error_estimate` what was reached. Raises InputError for bad input, and RunError if no method gets through.
     """
+    instance("problem", problem, Problem)
+    asked, tolerance = tolerance, as_number(tolerance)
     if not FINEST <= tolerance <= 1.0:
-        raise InputError(f"tolerance = {tolerance:g} must lie between {FINEST:g} and 1")
-    problem.check(grid := grid or problem.grid(tail=min(TAIL, 0.01 * tolerance)), "auto")
+        raise InputError(f"tolerance = {shown(asked)} must lie between {FINEST:g} and 1")
+    grid = problem.grid(tail=min(TAIL, 0.01 * tolerance)) if grid is None else grid
+    problem.check(grid, "auto")
 
     def on_grid(problem: Problem, grid: Grid, method: str) -> Run:
         return _solve(problem, grid, method, DEFAULT_CFL, progress)
@@ -136,6 +142,7 @@ def solve_case(case: Case, progress: Progress | None = None, strict: bool = Fals
     for what does not go together, or for checkpoints of a Python function of no file; RunError if the run cannot
     start, or with `auto` no method gets through.
     """
+    instance("case", case, Case)
     check_method(case)
     problem, grid, method = case.problem, case.grid, case.method
     if method in HJ_METHODS or method in CONSERVATIVE_METHODS:
@@ -161,9 +168,9 @@ def solve_case(case: Case, progress: Progress | None = None, strict: bool = Fals
 
 
 def _known(method: str, methods: tuple[str, ...]) -> None:
-    if method not in methods:
-        hint = did_you_mean(method, methods)
-        raise InputError(f"method = {method!r} is not known{hint} (allowed: {', '.join(methods)})")
+    if not isinstance(method, str) or method not in methods:
+        hint = did_you_mean(str(method), methods)
+        raise InputError(f"method = {shown(method)} is not known{hint} (allowed: {', '.join(methods)})")
 
 
 def _promises(problem: Problem, method: str) -> Promises:
@@ -179,8 +186,7 @@ def _solve(
     strict: bool = False, keeper: Keeper | None = None, refresh: float | None = None, identity: Mapping = NOBODY,
 ) -> Run:  # fmt: skip
     """Runs a method on a grid, watched; a keeper's checkpoints are told from those of other runs by `identity`."""
-    if not cfl > 0:
-        raise InputError(f"cfl = {cfl} must be a positive number")
+    cfl = number("cfl", cfl)
     scheme: Scheme = (hj if method in HJ_METHODS else conservation).scheme(problem, grid, method, refresh)
     bounds = BoundsMonitor(
         problem.law, grid, scheme.W, problem.profile.inflow, problem.end, _promises(problem, method),

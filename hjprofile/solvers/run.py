@@ -10,6 +10,7 @@ import numpy as np
 
 import hjprofile
 from hjprofile.problem.case import to_toml
+from hjprofile.problem.ranges import read_only
 from hjprofile.problem.units import Units
 
 if TYPE_CHECKING:
@@ -154,7 +155,7 @@ class Verdict(NamedTuple):
 
 @dataclass(frozen=True)
 class Run:
-    """A solution on a grid at the times that were kept.
+    """A solution on a grid at the times that were kept. Its arrays are read-only; a copy can be written into.
 
     Attributes:
         title, method: of the case.
@@ -207,6 +208,10 @@ class Run:
     account: str = ""
     cautions: Sequence[str] = ()
 
+    def __post_init__(self) -> None:
+        for name in FIELDS:
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
     @property
     def done(self) -> bool:
         """Whether the run went to its end."""
@@ -237,7 +242,8 @@ class Run:
     def to_xarray(self) -> xarray.Dataset:
         """u, q and K over `time` and `node` or `cell`, with `x` and `x_cell`: what `xarray` reads from `profile.nc`.
 
-        Needs xarray, which hjprofile does not bring along. The arrays are shared with the run, not copied.
+        Needs xarray, which hjprofile does not bring along. The arrays are shared with the run, read-only; those of
+        `.copy(deep=True)` are not.
         """
         import xarray
 

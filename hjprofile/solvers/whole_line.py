@@ -21,6 +21,7 @@ from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.line import moved, tail
 from hjprofile.problem.profiles import TAIL
+from hjprofile.problem.ranges import instance
 from hjprofile.solvers.run import Array, Run
 
 P = ParamSpec("P")
@@ -37,6 +38,7 @@ class Window:
     """
 
     def __init__(self, problem: Problem, grid: Grid):
+        instance("grid", grid, Grid)
         problem.check_line(grid)
         problem.check_profile(grid)
         self.whole, self.grid, self.law, profile = problem, grid, problem.law, problem.profile
@@ -159,19 +161,26 @@ class Window:
         )  # fmt: skip
 
 
+def _with_caution(run: Run, problem: Problem) -> Run:
+    """The run with what its problem says against its domain, once, whichever solvers it has gone through."""
+    caution = problem.caution(float(run.x[0]))
+    return replace(run, cautions=(*run.cautions, caution)) if caution and caution not in run.cautions else run
+
+
 def also_on_the_whole_line(solver: Callable[P, Run]) -> Callable[P, Run]:
     """A solver for the half line, of a problem and a grid, that solves on windows of the whole line as well."""
 
     run_half: Callable[..., Run] = solver
 
     def solve(problem: Problem, grid: Grid | None = None, *args: Any, **kwargs: Any) -> Run:
+        instance("problem", problem, Problem)
         if problem.line == "half":
-            return run_half(problem, grid, *args, **kwargs)
-        window = Window(problem, grid or problem.grid())
+            return _with_caution(run_half(problem, grid, *args, **kwargs), problem)
+        window = Window(problem, problem.grid() if grid is None else grid)
         try:
             run = run_half(window.problem, window.half_grid, *args, **kwargs)
         except RunError as error:
             raise RunError(window.sentence(str(error))) from None
-        return window.run_on_line(run)
+        return _with_caution(window.run_on_line(run), problem)
 
     return wraps(solver)(solve)  # type: ignore[return-value]

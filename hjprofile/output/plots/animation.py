@@ -19,10 +19,12 @@ from PIL import Image
 from hjprofile.errors import InputError, RunError
 from hjprofile.output.plots import style
 from hjprofile.output.plots.style import DEPOSITED, ERODED, INK, amount, styled
+from hjprofile.problem.ranges import as_number, shown
 from hjprofile.solvers.run import Array, Run
 
 DPI = 120  # 600 pixels wide
 FPS = 8.0
+SLOWEST, FASTEST = 0.01, 50.0  # pictures a second: a GIF holds their time as a whole number, of hundredths
 LAST = 1.5  # seconds for which the last picture stays
 COLOURS = 64  # of a GIF
 FORMS = ".gif", ".mp4"
@@ -36,9 +38,10 @@ def animation(run: Run, form: str, fps: float = FPS, progress: Callable[[float],
     """
     if form not in FORMS:
         raise InputError(f"an animation ends in {' or '.join(FORMS)}, not in {form!r}", "a-moving-picture")
-    if not 0.0 < fps <= 50.0:
+    if not SLOWEST <= as_number(fps) <= FASTEST:
         raise InputError(
-            f"--fps {fps:g} must be a positive number of pictures a second, at most 50", "a-moving-picture"
+            f"--fps {shown(fps)} must be a positive number of pictures a second, from {SLOWEST:g} to {FASTEST:g}",
+            "a-moving-picture",
         )
     ffmpeg = shutil.which("ffmpeg")
     if form == ".mp4" and ffmpeg is None:

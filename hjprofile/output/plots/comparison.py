@@ -42,7 +42,7 @@ def draw_comparison(first: Run, second: Run, names: tuple[str, str]) -> Figure:
     compared.
     """
     both = shared(first, second)
-    units = first.units if first.units == second.units else None
+    units = both.units
     coarse = first if first.cells <= second.cells else second
     x, _, label_of_x, label_of_height = style.axes_units(coarse, units)
     heights = units.height(both.height) if units else both.height
@@ -71,7 +71,12 @@ def draw_comparison(first: Run, second: Run, names: tuple[str, str]) -> Figure:
         bottom.plot(x_cell, both.slope[0, i] - both.slope[1, i], color=colour, lw=0.9)
     apart = np.abs(both.height[0] - both.height[1]).max(axis=1) > ROUNDING
     largest = np.abs(heights[0] - heights[1]).max(axis=1)
-    distances = [(unit * t, length * d) for t in saved for d in kink_distances(first, second, t) if d > ROUNDING]
+    distances = [
+        (unit * float(first.time[i]), length * d)
+        for i, j in zip(both.first.tolist(), both.second.tolist(), strict=True)
+        for d in kink_distances(first.kinks_at(i), second.kinks_at(j))
+        if d > ROUNDING
+    ]
     curve = _LARGEST | {"label": f"largest |{of_height}|"}
     last.plot(times, np.where(apart, largest, np.nan), **curve)
     last.plot(*np.array(distances).reshape(-1, 2).T, **_KINKS)

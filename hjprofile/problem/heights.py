@@ -1,0 +1,67 @@
+"""Heights of a survey that cannot be heights, and surveys of more than one flank."""
+
+from __future__ import annotations
+
+import numpy as np
+
+Array = np.ndarray
+
+# What programs write where nothing was measured. Each may be a height as well, so its neighbours decide
+STAND_INS = -9999.0, 9999.0, -99999.0, 99999.0, -999.0, -32768.0, -32767.0, 32767.0
+HIGHEST = 1e12  # in any unit of length; larger numbers, 1e20 and ±3.4e38 among them, are no heights
+OUT_OF_LINE = 10.0  # times the steepest slope of the other rows, from the nearest of them
+FAR_OFF = 1000.0  # times the relief of all other rows, for a height that is no known stand-in
+FEW, ENOUGH_ROWS = 0.1, 10  # such heights are at most this part of the rows, of so many at least
+FLANK = 0.2  # least descent on either side of a crest, as a part of the relief
+
+
+def without_height(x: Array, height: Array) -> Array:
+    """Which rows hold no height but a stand-in for one, or a number off by orders of magnitude; x increases."""
+    none = np.abs(height) > HIGHEST
+    candidates = np.isin(height, STAND_INS)
+    sound = ~(none | candidates)
+    for value in np.unique(height[candidates]):
+        here = height == value
+        if _out_of_line(x[sound], height[sound], x[here], value):
+            none |= here
+    found = np.flatnonzero(~none)
+    none[found[_far_off(height[found])]] = True
+    return none
+
+
+def _out_of_line(x: Array, height: Array, at: Array, value: float) -> bool:
+    """Whether a height `value` at the places `at` is far from the others, for the steepest slope among them."""
+    if x.size < 2:
+        return True
+    steepest = np.max(np.abs(np.diff(height) / np.diff(x)))
+    right = np.clip(np.searchsorted(x, at), 1, x.size - 1)
+    nearest = np.where(at - x[right - 1] < x[right] - at, right - 1, right)
+    return bool(np.any(np.abs(value - height[nearest]) > OUT_OF_LINE * steepest * np.abs(at - x[nearest])))
+
+
+def _far_off(height: Array) -> Array:
+    """Which of these heights, few of many, a gap of FAR_OFF times the relief of the others separates from them."""
+    order = np.argsort(height)
+    if order.size < ENOUGH_ROWS:
+        return order[:0]
+    gaps = np.diff(height[order])
+    cut = int(np.argmax(gaps)) + 1
+    few, others = sorted((order[:cut], order[cut:]), key=len)
+    relief = np.ptp(height[others])
+    return few if few.size <= FEW * order.size and gaps[cut - 1] > FAR_OFF * relief > 0.0 else order[:0]
+
+
+def falls_on_the_whole(height: Array) -> bool:
+    """Whether heights fall from left to right; by the medians of their halves, which few wrong ones do not move."""
+    half = (height.size + 1) // 2
+    return half > 0 and bool(np.median(height[:half]) > np.median(height[-half:]))
+
+
+def crest(height: Array) -> int | None:
+    """The highest row, if the survey rises to it on the whole and falls beyond; None if its top is at an end."""
+    top = int(np.argmax(height))
+    left, right = height[:top], height[top + 1 :]
+    if not (falls_on_the_whole(right) and falls_on_the_whole(left[::-1])):
+        return None
+    descent = height[top] - max(height[0], height[-1])
+    return top if descent > FLANK * np.ptp(height) else None

@@ -1,0 +1,137 @@
+"""The range of each number that a user gives, and how values are read: numpy's like Python's, copied, or refused."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hjprofile.errors import InputError
+
+Array = np.ndarray
+
+SAME_TIME = 1e-9  # of the span of a run: times nearer to each other than that differ by rounding only
+LONGEST_SHOWN = 400  # characters of a value in a message
+
+
+class Range(NamedTuple):
+    """Numbers from `least` to `most`; 0 as well if `zero`. `words` say so in a message."""
+
+    least: float
+    most: float
+    words: str
+    zero: bool = False
+
+    def holds(self, value: Any) -> Any:
+        """Whether a number is allowed, or each of an array; NaN is not."""
+        return ((value >= self.least) & (value <= self.most)) | (self.zero & (value == 0.0))
+
+
+def _positive(least: float, most: float) -> Range:
+    return Range(least, most, f"a positive number from {least:g} to {most:g}")
+
+
+_PLACE = Range(-1e9, 1e9, "a finite number, at most 1e9 in size")
+_DOWNHILL = Range(-1e9, -1e-9, "a negative number: the top of the slope is at x = 0 (from -1e9 to -1e-9)")
+_SLOPE = Range(-1e8, 1e8, "a finite number, at most 1e8 in size")
+RANGES = {  # the table of docs/cases.md is this one
+    "end": Range(1e-300, 1e12, "a number, 0 or more, from 1e-300 to 1e12 if not 0", zero=True),
+    "thickness": Range(1e-300, 1e6, "a number, 0 or more, from 1e-300 to 1e6 if not 0", zero=True),
+    "left": _DOWNHILL,
+    "left of a window": _PLACE,
+    "right": _PLACE,
+    "cfl": _positive(1e-4, 100.0),
+    "refresh": _positive(1e-300, 1e12),
+    "checkpoint": _positive(1e-9, 1e9),
+    "positions": _PLACE,
+    "centres": _PLACE,
+    "edges": _PLACE,
+    "x": _PLACE,
+    "widths": _positive(1e-9, 1e9),
+    "amplitudes": _SLOPE,
+    "values": _SLOPE,
+    "q": _SLOPE,
+    "flux": _positive(1e-12, 1e12),
+    "kink": _DOWNHILL,
+    "critical_slope": _positive(1e-6, 1e6),
+    "length": _positive(1e-9, 1e12),
+    "sigma": _positive(1e-12, 1e12),
+    "f'(0)": _positive(1e-9, 1e9),  # of a law; lengths in units of 1/f'(0) have laws of order 1
+    "k": _positive(1e-100, 1e100),
+    # the laws are lost in underflow or overflow at ordinary slopes beyond
+    "m": Range(1e-100, 100.0, "a positive number, at most 100 (and not below 1e-100: use the law 'log')"),
+}
+
+
+def as_number(value: Any) -> float:
+    """A number of Python's or numpy's as a float, infinite if it is too large for one; NaN for what is no number."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
+        return np.nan
+    try:
+        return float(value)
+    except OverflowError:
+        return np.inf if value > 0 else -np.inf
+
+
+def number(name: str, value: Any, about: str = "", key: str = "") -> float:
+    """The number of that name. Raises InputError if it is none, or outside its range, that of `key` if one is given."""
+    allowed = RANGES[key or name]
+    if not allowed.holds(found := as_number(value)):
+        raise InputError(f"{name} = {shown(value)} must be {allowed.words}", about)
+    return found + 0.0  # no -0
+
+
+def whole(name: str, value: Any, least: int, most: int | None = None) -> int:
+    """The whole number of that name. Raises InputError if it is none, less than `least` or more than `most`."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    fits = isinstance(value, (int, np.integer)) and value >= least and (most is None or value <= most)
+    if isinstance(value, bool) or not fits:
+        up_to = f"{least} or more" if most is None else f"from {least} to {most}"
+        raise InputError(f"{name} = {shown(value)} must be a whole number, {up_to}")
+    return int(value)
+
+
+def instance(name: str, value: Any, kind: type) -> None:
+    """Raises InputError if what was given under that name is of another kind."""
+    if not isinstance(value, kind):
+        raise InputError(f"{name} = {shown(value)} must be of the type {kind.__name__}")
+
+
+def as_path(name: str, value: Any) -> Path:
+    """The path of that name. Raises InputError if it is none."""
+    if not isinstance(value, (str, os.PathLike)):
+        raise InputError(f"{name} = {shown(value)} must be a path")
+    return Path(value)
+
+
+def shown(value: Any) -> str:
+    """A value as a message shows it."""
+    with suppress(Exception):  # an integer of thousands of digits, a key of as many parts, what repr of an object does
+        if len(text := repr(plain(value))) <= LONGEST_SHOWN and "\n" not in text:
+            return text
+    return "(too long to be shown)"
+
+
+def plain(value: Any) -> Any:
+    """What TOML could hold in the place of numpy's numbers and arrays, tuples and paths, in lists and tables too."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    if isinstance(value, Mapping):
+        return {key: plain(v) for key, v in value.items()}
+    return os.fspath(value) if isinstance(value, os.PathLike) else value
+
+
+def read_only(array: Array) -> Array:
+    """The same numbers, shared, in an array that cannot be written into."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
