@@ -20,8 +20,9 @@ import xarray
 
 import hjprofile
 from hjprofile.errors import InputError
+from hjprofile.files import write_whole
 from hjprofile.output import store
-from hjprofile.output.store import load_run, summary, to_json, write_run, write_whole
+from hjprofile.output.store import load_run, summary, to_json, write_run
 from hjprofile.problem.case import parse_case
 from hjprofile.solvers.methods import solve_case
 
@@ -279,7 +280,7 @@ def test_a_write_that_fails_leaves_nothing_half(tmp_path, monkeypatch, call, old
     path = tmp_path / "profile.nc"
     if older:
         path.write_bytes(older)
-    monkeypatch.setattr(store.os, call, full)
+    monkeypatch.setattr(os, call, full)
     with pytest.raises(OSError, match="No space left") as failure:
         write_whole(path, b"newer")
     assert failure.value.filename == str(path)
@@ -291,7 +292,7 @@ def test_a_write_that_is_interrupted_leaves_nothing_half(tmp_path, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(store.os, "fsync", interrupt)
+    monkeypatch.setattr(os, "fsync", interrupt)
     with pytest.raises(KeyboardInterrupt):
         write_whole(tmp_path / "new", "text")
     assert names(tmp_path) == set()
@@ -307,7 +308,7 @@ def test_nobody_sees_half_a_file(tmp_path, monkeypatch):
         seen.append((path.read_text(), Path(beside).read_text(), Path(beside).parent))
         replace(beside, final)
 
-    monkeypatch.setattr(store.os, "replace", watched)
+    monkeypatch.setattr(os, "replace", watched)
     write_whole(path, "häufig\n")
     assert seen == [("older", "häufig\n", tmp_path)]  # beside it: a rename across disks is a copy
     assert path.read_text(encoding="utf-8") == "häufig\n" and names(tmp_path) == {"kinks.csv"}
@@ -319,7 +320,7 @@ def test_a_folder_that_is_not_complete_is_not_taken_for_a_result(tmp_path, monke
     whole = write_run(solved("kinks"), tmp_path / "whole", vtk=False)
     write_run(solved("failed"), tmp_path / "cut", vtk=False)
     left = iter([os.fsync] * after)
-    monkeypatch.setattr(store.os, "fsync", lambda handle: next(left, full)(handle))
+    monkeypatch.setattr(os, "fsync", lambda handle: next(left, full)(handle))
     with pytest.raises(OSError, match="No space left"):
         write_run(solved("kinks"), tmp_path / "cut", vtk=False)
     assert names(tmp_path / "cut") == FILES - {"summary.json"}

@@ -90,7 +90,7 @@ def export(
 
 
 def _write(folder: Path, files: Mapping[str, bytes | str], json: bool, found: Mapping[str, Any] | None = None) -> None:
-    from hjprofile.output.store import write_whole
+    from hjprofile.files import write_whole
 
     for name, data in files.items():
         write_whole(folder / name, data)

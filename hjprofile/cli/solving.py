@@ -117,8 +117,9 @@ def fit(
     values.
     """
     from hjprofile.evidence.calibration import fit as fit_case
+    from hjprofile.files import write_whole
     from hjprofile.output.fit_files import fit_account, fit_files, fit_report
-    from hjprofile.output.store import open_folder, write_whole
+    from hjprofile.output.store import open_folder
     from hjprofile.problem.survey import read_survey
 
     folder, (loaded,) = load_cases((case,), out)

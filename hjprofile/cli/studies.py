@@ -18,7 +18,8 @@ def check(*case: CasePath, out: Out = None, json: Json = False) -> None:
     Writes check.json; ends with exit code 1 if a comparison fails.
     """
     from hjprofile.evidence.consistency import check as check_case
-    from hjprofile.output.store import open_folder, to_json, write_whole
+    from hjprofile.files import write_whole
+    from hjprofile.output.store import open_folder, to_json
 
     if not case:
         raise InputError("check needs at least one CASE: a TOML file or the name of a shipped case", "the-command-line")
@@ -46,8 +47,9 @@ def chart(*case: CasePath, out: Out = None, json: Json = False) -> None:
     """
     from hjprofile.evidence.chart import Point, pareto
     from hjprofile.evidence.chart import chart as chart_case
+    from hjprofile.files import write_whole
     from hjprofile.output.plots.studies import chart_picture
-    from hjprofile.output.store import open_folder, to_csv, write_whole
+    from hjprofile.output.store import open_folder, to_csv
 
     if not case:
         raise InputError("chart needs at least one CASE: a TOML file or the name of a shipped case", "the-command-line")
@@ -77,8 +79,9 @@ def stability(case: CasePath, /, *, out: Out = None, json: Json = False) -> None
     """
     from hjprofile.evidence.stability import Trial, measured_limit
     from hjprofile.evidence.stability import stability as scan
+    from hjprofile.files import write_whole
     from hjprofile.output.plots.studies import stability_picture
-    from hjprofile.output.store import open_folder, to_csv, write_whole
+    from hjprofile.output.store import open_folder, to_csv
 
     folder, (loaded,) = load_cases((case,), out)
     open_folder(folder)
@@ -109,8 +112,9 @@ def dependence(case: CasePath, /, *, out: Out = None, json: Json = False) -> Non
     """
     from hjprofile.evidence.dependence import Distance, summary
     from hjprofile.evidence.dependence import dependence as study
+    from hjprofile.files import write_whole
     from hjprofile.output.plots.studies import dependence_picture
-    from hjprofile.output.store import open_folder, to_csv, write_whole
+    from hjprofile.output.store import open_folder, to_csv
 
     folder, (loaded,) = load_cases((case,), out)
     open_folder(folder)

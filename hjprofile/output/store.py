@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 import re
 import tempfile
 import tomllib
@@ -20,6 +19,7 @@ import numpy as np
 
 import hjprofile
 from hjprofile.errors import InputError
+from hjprofile.files import write_whole
 from hjprofile.problem.units import Units
 from hjprofile.solvers.run import FIELDS, UNITS, Event, KinkRecord, Run, Verdict, VerticalStep
 
@@ -31,24 +31,6 @@ _STALE = (
     STEPS_FILE, *(f"{name}.{form}" for name in _PICTURES for form in ("png", "svg")), "profile.gif", "profile.mp4",
     "vtk/*.pvd", "vtk/*.vtp", "vtk/*.vtr",
 )  # fmt: skip
-
-
-def write_whole(path: Path, data: bytes | str) -> None:
-    """Writes beside `path` and then replaces it, so that nobody ever sees half a file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with open(handle, "wb") as stream:
-            stream.write(data.encode() if isinstance(data, str) else data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.chmod(beside, 0o644)
-        os.replace(beside, path)
-    except BaseException as error:
-        Path(beside).unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            error.filename = str(path)  # a full disk does not say where
-        raise
 
 
 def open_folder(folder: Path) -> Path:

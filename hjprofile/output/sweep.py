@@ -16,7 +16,8 @@ import numpy as np
 import hjprofile
 from hjprofile.errors import InputError, RunError
 from hjprofile.evidence.sweep import QUANTITIES, Member, Outcome, members, run_members, text_of
-from hjprofile.output.store import open_folder, to_csv, to_json, write_whole
+from hjprofile.files import write_whole
+from hjprofile.output.store import open_folder, to_csv, to_json
 from hjprofile.solvers.run import Array
 
 KEPT = "members"  # folder of what is done
