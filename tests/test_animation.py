@@ -11,7 +11,6 @@ from PIL import Image
 from test_plots import assert_legible
 
 import hjprofile as hj
-from hjprofile.output import folder as files
 from hjprofile.output.plots import animation as film
 from hjprofile.output.plots import style
 from hjprofile.output.plots.animation import animation, frames
@@ -176,7 +175,7 @@ def test_whole_or_not_at_all(result, call, monkeypatch):
     def no_room(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(files.os, "fsync", no_room)
+    monkeypatch.setattr("os.fsync", no_room)
     code, _, err = call("animate", "bump", "--fps", "3")
     assert code == 1 and "No space left" in err
     assert {p.name: p.read_bytes() for p in result.iterdir()} == before

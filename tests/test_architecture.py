@@ -11,7 +11,10 @@ import hjprofile
 
 HOME = Path(hjprofile.__file__).parent
 # from the bottom up
-ROOMS = ("errors", "problem", "solvers.kernels", "solvers.run", "monitors", "solvers", "evidence", "output", "cli")
+ROOMS = (
+    "errors", "interrupts", "files", "problem", "solvers.kernels", "solvers.run", "monitors", "solvers", "evidence",
+    "output", "cli",
+)  # fmt: skip
 ONLY_IN = {  # package -> the modules and rooms that may import it
     "numba": ("solvers.kernels",),
     "pyvista": ("output.vtk",),
@@ -92,6 +95,14 @@ def test_every_room_is_there():
 @pytest.mark.parametrize("module", ROOMED)
 def test_imports_run_one_way(module):
     assert sorted(set(faults(module, tree(module)))) == []
+
+
+def test_kernels_are_made_of_kernels():
+    """What is compiled into one from elsewhere would not be looked at for changes: `kernels/disk_cache.py`."""
+    kernels = [m for m in ROOMED if room(m) == "solvers.kernels"]
+    taken = set().union(*(own_imports(tree(m)) for m in kernels)) - {""}
+    assert {m for m in taken if room(m) != "solvers.kernels"} == {"files"}
+    assert [m for m in kernels if "files" in own_imports(tree(m))] == ["solvers.kernels.disk_cache"]
 
 
 def test_no_circle_of_modules():

@@ -41,7 +41,7 @@ def case_of(method, **changes):
 
 
 class Stop:
-    """Asks a checkpoint to stop after so many lots of steps."""
+    """Asks a checkpoint to stop after so many lots of steps, of which the first two are the start and a first lot."""
 
     def __init__(self, keeper, lots):
         self.keeper, self.left = keeper, lots
@@ -69,7 +69,7 @@ PRESCRIBED = {"coefficient__kind": "expression", "coefficient__expression": "exp
 def test_every_method_goes_on_bit_for_bit(method, changes, tmp_path):
     case = case_of(method, **changes)
     whole = fingerprint(solve_case(case))
-    for lots in (1, 5, 12):
+    for lots in (3, 5, 12):
         keeper = Checkpoint(tmp_path, 1e9, resume=False)
         with pytest.raises(hj.RunError, match=r"interrupted at t = .*--resume goes on from there"):
             solve_case(case, Stop(keeper, lots), keeper=keeper)

@@ -202,7 +202,7 @@ def test_in_a_case_file(tmp_path):
 def test_a_run_with_a_layer_goes_on_bit_for_bit(tmp_path):
     case = case_of(LAYER_METHOD, erosion__law="rational", layer__thickness=0.1)
     whole = fingerprint(solve_case(case))
-    for lots in (1, 5, 12):
+    for lots in (3, 5, 12):
         with pytest.raises(hj.RunError, match="interrupted"):
             solve_case(case, Stop(None, lots), keeper=Checkpoint(tmp_path, 1e9, resume=False))
         assert fingerprint(solve_case(case, keeper=Checkpoint(tmp_path, 1e-9, resume=True))) == whole

@@ -131,7 +131,7 @@ def test_chart_stability_and_dependence(scene, ask, monkeypatch):
 
 
 def test_every_command_has_it(call):
-    from hjprofile.cli import app
+    from hjprofile.cli.common import app
 
     commands = [name for name in app if not name.startswith("-")]
     assert len(commands) >= 10

@@ -21,8 +21,8 @@ from scipy.io import netcdf_file
 
 import hjprofile
 from hjprofile.errors import InputError
-from hjprofile.output import folder as files
-from hjprofile.output.folder import RECORD, Owner, ResultFolder, write_whole
+from hjprofile.files import write_whole
+from hjprofile.output.folder import RECORD, Owner, ResultFolder
 from hjprofile.output.store import load_run, summary, to_json, write_run
 from hjprofile.problem.case import parse_case
 from hjprofile.solvers.methods import solve_case
@@ -290,7 +290,7 @@ def test_a_write_that_fails_leaves_nothing_half(tmp_path, monkeypatch, call, old
     path = tmp_path / "profile.nc"
     if older:
         path.write_bytes(older)
-    monkeypatch.setattr(files.os, call, full)
+    monkeypatch.setattr(os, call, full)
     with pytest.raises(OSError, match="No space left") as failure:
         write_whole(path, b"newer")
     assert failure.value.filename == str(path)
@@ -302,7 +302,7 @@ def test_a_write_that_is_interrupted_leaves_nothing_half(tmp_path, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(files.os, "fsync", interrupt)
+    monkeypatch.setattr(os, "fsync", interrupt)
     with pytest.raises(KeyboardInterrupt):
         write_whole(tmp_path / "new", "text")
     assert names(tmp_path) == set()
@@ -318,7 +318,7 @@ def test_nobody_sees_half_a_file(tmp_path, monkeypatch):
         seen.append((path.read_text(), Path(beside).read_text(), Path(beside).parent))
         replace(beside, final)
 
-    monkeypatch.setattr(files.os, "replace", watched)
+    monkeypatch.setattr(os, "replace", watched)
     write_whole(path, "häufig\n")
     assert seen == [("older", "häufig\n", tmp_path)]  # beside it: a rename across disks is a copy
     assert path.read_text(encoding="utf-8") == "häufig\n" and names(tmp_path) == {"kinks.csv"}
@@ -331,7 +331,7 @@ def test_a_disk_that_fills_up_leaves_a_run_or_none(tmp_path, monkeypatch, after)
     write_run(solved("kinks"), whole, vtk=False)
     write_run(solved("failed"), tmp_path / "cut", vtk=False)
     left = iter([os.fsync] * after)
-    monkeypatch.setattr(files.os, "fsync", lambda handle: next(left, full)(handle))
+    monkeypatch.setattr(os, "fsync", lambda handle: next(left, full)(handle))
     with pytest.raises(OSError, match="No space left"):
         write_run(solved("kinks"), tmp_path / "cut", vtk=False)
     there = names(tmp_path / "cut")

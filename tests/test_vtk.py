@@ -20,7 +20,7 @@ from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkIOXML import vtkXMLPolyDataReader, vtkXMLRectilinearGridReader
 
 import hjprofile as hj
-from hjprofile.output.folder import write_whole
+from hjprofile.files import write_whole
 from hjprofile.output.vtk import vtk_files
 
 SCRIPT = Path(__file__).parent.parent / "docs" / "open_in_paraview.py"

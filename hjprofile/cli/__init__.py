@@ -8,14 +8,10 @@ import os
 import sys
 from typing import NoReturn
 
-from cyclopts import CycloptsError
-
-import hjprofile.cli.results
-import hjprofile.cli.solving
-import hjprofile.cli.studies  # noqa: F401  each has commands
-from hjprofile.cli.common import app
 from hjprofile.errors import PAGE, InputError, RunError
+from hjprofile.interrupts import heed_no_more, leave_when_asked
 
+INTERRUPTED = "hjprofile: interrupted; nothing was left half-written"
 # command -> heading of PAGE, for a sentence that has none of its own; the other commands ask whether it is right
 _ABOUT = {
     "run": "a-run-that-stops",
@@ -28,11 +24,18 @@ _ABOUT = {
 
 def main(arguments: list[str] | None = None) -> NoReturn:
     """Runs a command; 0 done, 1 the run or a check failed, 2 wrong usage or bad input. Never a traceback for these."""
-    if arguments is None:  # a process of its own, whose imports would be searched for garbage again and again
-        gc.disable()
+    if arguments is None:  # a process of its own
+        _own_process()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # one that has no '∫' gets a '?', and the command goes on
             stream.reconfigure(errors="replace")
+    from cyclopts import CycloptsError
+
+    import hjprofile.cli.results
+    import hjprofile.cli.solving
+    import hjprofile.cli.studies  # noqa: F401  each has commands
+    from hjprofile.cli.common import app
+
     try:
         app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
         sys.stdout.flush()
@@ -51,22 +54,33 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         where = f"{error.filename}: " if error.filename else ""
         _leave(f"hjprofile: {where}{error.strerror or error}; nothing was left half-written", 1, "a-place-to-write")
     except KeyboardInterrupt:
-        try:
-            _leave("hjprofile: interrupted; nothing was left half-written", 1, "interrupted")
-        finally:
-            if arguments is None:  # Python would end with the signal instead if it came while a module ran exec()
-                os._exit(1)
+        _leave(INTERRUPTED, 1, "interrupted")
+    heed_no_more()
     sys.exit(0)
+
+
+def _own_process() -> None:
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed: the next file would take its number, and get what is said
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
+    leave_when_asked(_told(INTERRUPTED, "interrupted"))
+    gc.disable()  # the imports would be searched for garbage again and again
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # nothing that is said waits to be written
 
 
 def _leave(sentence: str, code: int, about: str) -> NoReturn:
     """Says a sentence, and under which heading of PAGE there is more of it."""
+    heed_no_more()
     try:
         sys.stdout.flush()
     except OSError:  # a full disk: the sentence below says so, or says what matters more
         _drop_stdout()
-    print(" ".join(sentence.split()), f"({PAGE}#{about})", file=sys.stderr)
+    print(_told(sentence, about), file=sys.stderr)
     sys.exit(code)
+
+
+def _told(sentence: str, about: str) -> str:
+    return f"{' '.join(sentence.split())} ({PAGE}#{about})"
 
 
 def _drop_stdout() -> None:

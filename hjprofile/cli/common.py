@@ -5,12 +5,14 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Parameter
 
 import hjprofile
+from hjprofile.interrupts import undone
 
 if TYPE_CHECKING:
     from hjprofile.output.folder import ResultFolder
@@ -124,6 +126,7 @@ class Progress:
     def __init__(self, label: str):
         self.label, self.started = label, time.monotonic()
         self.bar: Any = None
+        self.shown = ExitStack()
 
     def __enter__(self) -> Progress:
         return self
@@ -137,9 +140,11 @@ class Progress:
 
             self.bar = Bar(console=Console(stderr=True), transient=True)
             self.task = self.bar.add_task(self.label, total=1.0)
+            self.shown.enter_context(undone(self.bar.stop))
             self.bar.start()
         self.bar.update(self.task, completed=fraction)
 
     def __exit__(self, *_: Any) -> None:
         if self.bar is not None:
             self.bar.stop()
+        self.shown.close()

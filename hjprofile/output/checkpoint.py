@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import json
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hjprofile.errors import InputError, RunError
+from hjprofile.files import write_whole
+from hjprofile.interrupts import answered
 from hjprofile.output.archive import pack, unpack
-from hjprofile.output.folder import write_whole
 from hjprofile.solvers.run import Array
 
 NAME = "checkpoint.npz"
-SIGNALS = (signal.SIGINT, signal.SIGTERM)  # Ctrl-C; what batch systems send when the time is up
 
 
 class Checkpoint:
@@ -31,22 +30,18 @@ class Checkpoint:
         """`claim` is called with the name of the checkpoint before one is written."""
         self.path, self.interval, self.resume, self.claim = folder / NAME, interval, resume, claim
         self.resumed_at: float | None = None  # the time t from which the run went on
-        self.asked = False
+        self.heeding, self.asked = ExitStack(), False
 
     def __enter__(self) -> Checkpoint:
         self.last = time.monotonic()
-        self.before = {}
-        if threading.current_thread() is threading.main_thread():
-            self.before = {s: signal.signal(s, self._ask) for s in SIGNALS}
+        self.started = False
         return self
 
     def __exit__(self, *error: Any) -> None:
-        for s, handler in self.before.items():
-            signal.signal(s, handler)
+        self.heeding.close()
 
     def _ask(self, *_: Any) -> None:
         self.asked = True  # between two lots of steps the state is whole
-        self.__exit__()  # whoever cannot wait asks again
 
     def recall(self, identity: Mapping[str, Any]) -> Mapping[str, Array] | None:
         """Raises InputError if there is a checkpoint to go on from that is damaged, or of another run."""
@@ -79,6 +74,9 @@ class Checkpoint:
 
     def due(self) -> bool:
         """Also when the run was asked to stop."""
+        if not self.started:  # before the first steps are done there is nothing to keep, and much to compile
+            self.started = True
+            self.heeding.enter_context(answered(self._ask))
         return self.asked or time.monotonic() - self.last >= self.interval
 
     def keep(self, t: float, memory: Mapping[str, Array]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hjprofile.errors import InputError
+from hjprofile.files import write_whole
 from hjprofile.problem.case import read_case
 from hjprofile.problem.erosion import located
 
@@ -190,21 +190,3 @@ def add_files(result: Path, folder: Path, files: Mapping[str, bytes | str]) -> l
     for name, data in files.items():
         write_whole(folder / name, data)
     return [folder / name for name in files]
-
-
-def write_whole(path: Path, data: bytes | str) -> None:
-    """Write beside `path` and then replace it, so that nobody ever sees half a file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with open(handle, "wb") as stream:
-            stream.write(data.encode() if isinstance(data, str) else data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.chmod(beside, 0o644)
-        os.replace(beside, path)
-    except BaseException as error:
-        Path(beside).unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            error.filename = str(path)  # a full disk does not say where
-        raise

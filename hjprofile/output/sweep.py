@@ -15,8 +15,9 @@ import numpy as np
 import hjprofile
 from hjprofile.errors import InputError, RunError
 from hjprofile.evidence.sweep import QUANTITIES, Member, Outcome, members, run_members, text_of
+from hjprofile.files import write_whole
 from hjprofile.output.archive import pack, unpack
-from hjprofile.output.folder import MEMBERS, ResultFolder, owner_of, write_whole
+from hjprofile.output.folder import MEMBERS, ResultFolder, owner_of
 from hjprofile.output.store import to_csv, to_json
 from hjprofile.problem.case import find_case
 from hjprofile.problem.ranges import plain, shown

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import gc
 import os
+import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
-from hjprofile.errors import InputError
+from hjprofile.errors import InputError, RunError
+from hjprofile.interrupts import SIGNALS, answered, undone, watched
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
+    from concurrent.futures import Executor, ProcessPoolExecutor
 
 
 MOST_WORKERS = 1000  # processes of one machine
@@ -20,18 +23,15 @@ MOST_WORKERS = 1000  # processes of one machine
 @contextmanager
 def drawing_helper(wanted: bool) -> Iterator[Executor | None]:
     """A process that draws pictures: it loads what that takes while this one solves. None where it would not help."""
-    import threading
-
-    alone = hasattr(os, "fork") and threading.active_count() == 1  # a fork beside other threads may hang
+    alone = hasattr(os, "fork") and watched()  # a fork beside other threads may hang
     if not (wanted and alone and (os.cpu_count() or 1) > 1):
         yield None
         return
     import multiprocessing
     import warnings
-    from concurrent.futures import ProcessPoolExecutor
 
-    with ProcessPoolExecutor(1, multiprocessing.get_context("fork"), _prepare, (os.getpid(),)) as helper:
-        with warnings.catch_warnings():  # Python 3.12 and later warn of BLAS's threads too, which stand a fork
+    with undone(_kill), _workers()(1, multiprocessing.get_context("fork"), _prepare, (os.getpid(),)) as helper:
+        with warnings.catch_warnings():  # Python 3.12 and later warn of other threads too, of which those here stand it
             warnings.simplefilter("ignore", DeprecationWarning)
             helper.submit(int)  # so that it starts now
         yield helper
@@ -44,32 +44,69 @@ def processes(workers: int | None) -> Iterator[Executor]:
     Each is a process begun anew: a fork takes locks along that nobody will open.
     """
     import multiprocessing
-    import signal
-    from concurrent.futures import CancelledError, ProcessPoolExecutor
-
-    class Workers(ProcessPoolExecutor):
-        def submit(self, *task: Any, **named: Any) -> Any:  # it starts processes, which inherit what is blocked
-            before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-            try:
-                return super().submit(*task, **named)
-            finally:
-                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    from concurrent.futures import CancelledError
 
     if workers is not None and not 1 <= workers <= MOST_WORKERS:
         raise InputError(f"--workers {workers} must be from 1 to {MOST_WORKERS}", about="the-command-line")
     own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    pool = Workers if hasattr(signal, "pthread_sigmask") else ProcessPoolExecutor
-    with pool(workers or own, multiprocessing.get_context("spawn"), _ward, (os.getpid(),)) as executor:
-        try:
-            yield executor
-        except BaseException:
-            with suppress(RuntimeError, CancelledError):  # it may be broken already
-                last = executor.submit(int)
-                executor.shutdown(wait=False, cancel_futures=True)
-                last.exception()  # by now it has let go of what was cancelled, over which it would stumble
-            for process in multiprocessing.active_children():
-                process.terminate()  # what they are at would only be thrown away
-            raise
+    context = multiprocessing.get_context("spawn")
+    with undone(_kill), answered(signal.default_int_handler):
+        with _workers()(workers or own, context, _ward, (os.getpid(),)) as executor:
+            try:
+                yield executor
+            except BaseException as error:
+                with suppress(RuntimeError, CancelledError, TimeoutError):  # it may be broken already, or busy
+                    last = executor.submit(int)
+                    executor.shutdown(wait=False, cancel_futures=True)
+                    last.exception(0.5)  # by now it has let go of what was cancelled, over which it would stumble
+                _kill()  # what they are at would only be thrown away
+                if isinstance(error, KeyboardInterrupt):
+                    raise RunError("interrupted; nothing was left half-written", "interrupted") from None
+                raise
+        del executor
+        gc.collect()  # a process that leaves while it has the semaphores of a pool is complained of
+
+
+def _workers() -> type[ProcessPoolExecutor]:
+    """The pool of processes whose workers heed no interrupt from their very start."""
+    from concurrent.futures import ProcessPoolExecutor
+
+    if not hasattr(signal, "pthread_sigmask"):
+        return ProcessPoolExecutor
+
+    class Workers(ProcessPoolExecutor):
+        def __init__(self, *options: Any):
+            with _unheard():
+                super().__init__(*options)
+
+        def submit(self, *task: Any, **named: Any) -> Any:
+            with _unheard():
+                return super().submit(*task, **named)
+
+    return Workers
+
+
+@contextmanager
+def _unheard() -> Iterator[None]:
+    """Within, processes are started that inherit what is blocked; this one hears of a signal afterwards."""
+    heard: list[int] = []
+    try:
+        with answered(lambda number, _: heard.append(number)):
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, set(SIGNALS) - {signal.SIGTERM})
+            try:
+                yield
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    finally:
+        if heard:
+            signal.raise_signal(heard[0])
+
+
+def _kill() -> None:
+    import multiprocessing
+
+    for process in multiprocessing.active_children():
+        process.kill()
 
 
 def _prepare(parent: int) -> None:
@@ -80,7 +117,6 @@ def _prepare(parent: int) -> None:
 
 def _ward(parent: int) -> None:
     """A process that heeds no interrupt and leaves with its parent."""
-    import signal
     import threading
 
     def leave_with_parent() -> None:
@@ -88,5 +124,7 @@ def _ward(parent: int) -> None:
             time.sleep(1.0)
         os._exit(1)  # it was killed: nobody else would tell
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent has a sentence for it
+    signal.set_wakeup_fd(-1)  # a fork's is its parent's
+    for s in SIGNALS:  # the parent has a sentence for each, and ends a worker by SIGTERM
+        signal.signal(s, signal.SIG_DFL if s == signal.SIGTERM else signal.SIG_IGN)
     threading.Thread(target=leave_with_parent, daemon=True).start()

@@ -17,6 +17,7 @@ from matplotlib.patches import Patch
 from PIL import Image
 
 from hjprofile.errors import InputError, RunError
+from hjprofile.interrupts import undone
 from hjprofile.output.plots import style
 from hjprofile.output.plots.style import DEPOSITED, ERODED, INK, amount, styled
 from hjprofile.problem.ranges import as_number, shown
@@ -138,7 +139,7 @@ def _mp4(images: list[Array], fps: float, ffmpeg: str) -> bytes:
     """By ffmpeg, with the codec that it takes for MP4, in colours that every player knows."""
     rows, columns, _ = images[0].shape
     shown = [*images, *[images[-1]] * round(LAST * fps)]
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, undone(lambda: shutil.rmtree(folder)):
         file = Path(folder) / "profile.mp4"
         form = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{columns}x{rows}", "-r", f"{fps:g}", "-i", "-"]
         command = [ffmpeg, "-loglevel", "error", *form, "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(file)]

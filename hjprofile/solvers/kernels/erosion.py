@@ -8,8 +8,6 @@ does not vectorise and the rest of the loop should.
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
-from numba.extending import intrinsic
 
 from hjprofile.solvers.kernels import by_type, vectorised
 
@@ -44,20 +42,14 @@ class Linear(Tabulated):
     """The same table, of a law of linear growth: f Δx is not small where the profile jumps (theory, §14)."""
 
 
-def _same_bits(given, wanted):
-    """The function from one type to another that leaves the bits as they are."""
-
-    @intrinsic
-    def cast(typing_context, value):
-        def generate(context, builder, signature, arguments):
-            return builder.bitcast(arguments[0], context.get_value_type(wanted))
-
-        return wanted(given), generate
-
-    return cast
+@vectorised
+def _bits(x):
+    return np.float64(x).view(np.int64)
 
 
-_bits, _double = _same_bits(types.float64, types.int64), _same_bits(types.int64, types.float64)
+@vectorised
+def _double(bits):
+    return np.int64(bits).view(np.float64)
 
 
 @vectorised

@@ -1,0 +1,110 @@
+"""Signals that ask a process to end: Ctrl-C, the SIGTERM of a batch system, the SIGHUP of a closed terminal."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, NoReturn
+
+SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+PATIENCE = 1.0  # seconds that a process which leaves has for its undoing
+_undo: list[Callable[[], object]] = []
+_early: list[int] = []
+
+
+def leave_when_asked(sentence: str) -> None:
+    """From now on a signal ends this process with exit code 1 and the sentence on stderr.
+
+    A thread of its own does so. An exception in the main thread would come late, when the compiler returns to Python,
+    and could be lost in a callback or turned into another by a module that is imported.
+    """
+    for s in _heeded():
+        signal.signal(s, _wake)
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    threading.Thread(target=_leave, args=(reading, sentence), name=__name__, daemon=True).start()
+    os.write(writing, bytes(_early))
+
+
+def heed_no_more() -> None:
+    """The process is about to end by itself: a signal in its last moments changes nothing."""
+    for s in SIGNALS:
+        if signal.getsignal(s) is _wake:
+            signal.signal(s, signal.SIG_IGN)
+
+
+@contextmanager
+def answered(answer: Callable[..., Any]) -> Iterator[None]:
+    """Within, the first signal calls `answer` in the main thread; a second one does what signals did before."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before: dict[int, Any] = {}
+
+    def restore() -> None:
+        if before:
+            signal.set_wakeup_fd(wakeup, warn_on_full_buffer=False)
+        while before:
+            signal.signal(*before.popitem())
+
+    def first(number: int, frame: Any) -> None:
+        restore()
+        answer(number, frame)
+
+    wakeup = signal.set_wakeup_fd(-1)
+    try:
+        for s in _heeded():
+            before[s] = signal.getsignal(s)
+            signal.signal(s, first)
+        yield
+    finally:
+        restore()
+
+
+@contextmanager
+def undone(undo: Callable[[], object]) -> Iterator[None]:
+    """Within, a process that is asked to end calls `undo` first, from another thread."""
+    _undo.append(undo)
+    try:
+        yield
+    finally:
+        _undo.remove(undo)
+
+
+def watched() -> bool:
+    """Whether the only thread beside this one is the one that waits for signals: it holds nothing that a fork needs."""
+    others = set(threading.enumerate()) - {threading.current_thread()}
+    return all(thread.name == __name__ for thread in others)
+
+
+def _heeded() -> list[int]:
+    """Those that whoever started the process (nohup, a shell's `&`) does not have ignored."""
+    return [s for s in SIGNALS if signal.getsignal(s) not in (signal.SIG_IGN, None)]
+
+
+def _wake(number: int, _: Any) -> None:
+    """The interpreter itself wakes the thread that waits for signals, once there is one."""
+    _early.append(number)
+
+
+def _leave(reading: int, sentence: str) -> NoReturn:
+    """Waits for a signal, and ends the process."""
+    while os.read(reading, 1)[0] not in SIGNALS:
+        pass
+
+    def end() -> NoReturn:
+        with suppress(OSError):
+            os.write(2, f"{sentence}\n".encode())
+        os._exit(1)
+
+    late = threading.Timer(PATIENCE, end)
+    late.daemon = True
+    late.start()
+    for undo in reversed(_undo):
+        with suppress(Exception):
+            undo()
+    end()
