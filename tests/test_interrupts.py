@@ -57,7 +57,7 @@ def stopped(folder, arguments, number, when, group=False):
     while any(map(alive, children)):
         assert time.monotonic() < sent + 60.0
         time.sleep(0.02)
-    assert not [path for path in folder.rglob(".*") if path.is_file()]
+    assert not [path for path in folder.rglob(".*") if re.fullmatch(r"\..+\.[0-9a-f]{8}", path.name)]
     return seconds
 
 
