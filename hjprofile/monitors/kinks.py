@@ -11,7 +11,7 @@ import numpy as np
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.kernels.kinks import WIDEST, find_kinks
-from hjprofile.solvers.run import Array, Event, KinkRecord, State
+from hjprofile.solvers.run import Array, Event, KinkRecord, State, in_order
 
 Speed = Callable[["Sighting"], float]
 
@@ -130,7 +130,8 @@ class KinkTracker:
         turns = {id(p): sorted(o.end.time for o in paths if o.into is p and o.end) for p in paths}
         records = []
         for t in kept:
-            rows = [(path, path.times.index(t)) for path in paths if t in path.times]
+            left = [p for p in paths if p.end and p.end.event == "exit" and p.end.time <= t]
+            rows = [(p, p.times.index(t)) for p in paths if t in p.times and p not in left]
             for path, i in sorted(rows, key=lambda row: row[0].sightings[row[1]].x):
                 s = path.sightings[i]
                 records.append(
@@ -150,8 +151,8 @@ def link(frames: Sequence[tuple[float, list[Sighting]]], dx: float, speed: Speed
     """Links sightings at successive times into paths; `speed` maps a sighting to its Rankine-Hugoniot speed.
 
     Kinks in the first frame are numbered from the left, then those born later, again from the left: kinks do not pass
-    each other, so that this order is known to certainty, while the date of a birth depends on the time steps. A kink may
-    be out of sight for a while: where two shocks touch, their common rise can be too wide to be seen as one.
+    each other, so that this order is certain, while the date of a birth depends on the time steps. A kink may be out of
+    sight for a while: where two shocks touch, their common rise can be too wide to be seen as one.
     """
     paths: list[_Path] = []
     living: list[_Path] = []  # with those that are out of sight
@@ -179,6 +180,8 @@ def link(frames: Sequence[tuple[float, list[Sighting]]], dx: float, speed: Speed
             if _leaves(path, t, dx, speed) or _is_lost(path, t, dx, speed):
                 living.remove(path)
     end = frames[-1][0] if frames else 0.0
+    for path in paths:
+        _leaves_at(end, path, dx, speed)
     _merge_lost(paths, end, dx, speed)
     for path in paths:
         if path.into:
@@ -261,6 +264,14 @@ def _leaves(path: _Path, t: float, dx: float, speed: Speed) -> bool:
     return True
 
 
+def _leaves_at(end: float, path: _Path, dx: float, speed: Speed) -> None:
+    """Dates an exit to the end of the run that is due within BACK cells: the position is not known better."""
+    last, velocity = path.sightings[-1], speed(path.sightings[-1])
+    here = last.x + velocity * (end - path.times[-1])
+    if (path.end.event == "exit" if path.end else path.times[-1] == end) and -BACK * dx <= here < 0.0:
+        path.end = Event(end, "exit", 0, None, 0.0)
+
+
 def _merge(loser: _Path, winner: _Path, dx: float, speed: Speed) -> None:
     """Ends `loser` where it meets `winner`: extrapolated, for shocks that touch are seen as one too early."""
     common = sorted(set(loser.times) & set(winner.times))[-MEMORY:]
@@ -310,7 +321,8 @@ def _settle(path: _Path, end: float, dx: float) -> None:
     """Keeps a merge only where and when the other kink was: it may have merged itself, or have gone out of sight."""
     event, other = path.end, path.into
     assert event and other
-    while other.end and other.end.time < event.time and other.into:
+    # of kinks that meet at one point, as far as the grid can tell, all merge into the one that lives on
+    while other.end and other.into and (other.end.time < event.time or abs(other.end.x - event.x) <= WIDEST * dx):
         other = other.into
     seen = np.interp(event.time, other.times, [s.x for s in other.sightings])
     gone = other.end.time if other.end else other.times[-1]
@@ -352,12 +364,15 @@ def _slope(t: Array, x: Array) -> float:
 def _measured_speed(path: _Path, i: int, turns: Sequence[float], dx: float) -> float:
     """dx/dt of the cubic through the sightings around the i-th, between the `turns`, at which the speed jumps.
 
-    One-sided beside a birth, a merge or an exit. NaN where the sightings are too few, too near each other for a position
-    that is known to a part of a cell, or not on one smooth curve.
+    One-sided beside a birth, a merge or an exit. NaN where the sightings are too few, too near each other for positions
+    that are known to a part of a cell, or not on one smooth curve; and at x = 0, where a kink is located less well.
     """
     t, x = np.array(path.times), np.array([s.x for s in path.sightings])
     side = np.searchsorted(turns, t, side="right")
-    t, x, far = (a[side == side[i]] for a in (t - t[i], x, np.abs(x - x[i])))
+    whole = x <= -WIDEST * dx
+    if not whole[i]:
+        return float("nan")
+    t, x, far = (a[whole & (side == side[i])] for a in (t - t[i], x, np.abs(x - x[i])))
     near = far <= max(NEARBY * dx, float(np.sort(far)[min(FEWEST, far.size) - 1]))
     t, x = t[near], x[near]
     if t.size < FEWEST - 1 or np.ptp(x) < LEAST_SPAN * dx:
@@ -372,4 +387,4 @@ def events_of(paths: Sequence[_Path], end: float) -> list[Event]:
     """Births, merges and exits up to the time `end`, in their order."""
     births = [Event(p.times[0], "birth", p.number, None, p.sightings[0].x) for p in paths if p.born]
     ends = [p.end for p in paths if p.end and p.end.time <= end]
-    return sorted(births + ends, key=lambda e: (e.time, e.kink))
+    return in_order(births + ends)

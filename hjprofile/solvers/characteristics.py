@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,7 +38,7 @@ from hjprofile.solvers.label_events import (
     with_joint_at,
 )
 from hjprofile.solvers.panels import POINTS, RULE, TAIL, Panels, cut_into_panels, interpolation, tails
-from hjprofile.solvers.run import Array, Event, KinkRecord, Run
+from hjprofile.solvers.run import Array, Event, KinkRecord, Run, in_order
 from hjprofile.solvers.whole_line import also_on_the_whole_line
 
 TOLERANCE = 1e-12
@@ -50,6 +52,8 @@ CORNER = 1e-3  # part of a panel within which a birth beside a corner is at it; 
 FLOOR = 1e-13  # least step, as a part of the end
 TOO_LONG = "it would take too long"
 MOST_PANELS = 4000
+MOMENT, BEYOND = 1e-11, 10.0  # accuracy of the times of events: as a part of the end, and in tolerances
+LOOK = 100.0  # how far events are looked for beyond the end, in the slopes of X at which a birth is seen
 MOST_EVENTS = 200  # at one moment; each takes a kink, a panel or a label away
 
 
@@ -183,6 +187,17 @@ class _Solver:
         return np.flatnonzero(
             (np.maximum(tails(panels.r), tails(panels.X)) > most) & (high > low) & (panels.mesh.half > 1e-9)
         ).tolist()
+
+    def finish(self) -> list[KinkRecord]:
+        """The kinks at the end; events that rounding puts just behind it are noted, and end kinks."""
+        kinks, ahead = self.kinks(), copy(self)  # what follows writes over K
+        ahead.events = []
+        with suppress(Lost):
+            ahead.advance(self.end * (1.0 + LOOK * self.threshold))
+        late = [e for e in ahead.events if e.time <= self.end * (1.0 + max(MOMENT, BEYOND * self.tolerance))]
+        self.events += [e._replace(time=float(self.end)) for e in late]
+        gone = {e.kink for e in late if e.event != "birth"}
+        return [k for k in kinks if k.kink not in gone]
 
     def read(self, nodes: Array) -> tuple[Array, Array]:
         """W and K at the nodes."""
@@ -393,9 +408,9 @@ def _march(
         W, K = solver.read(grid.nodes)
         panels = solver.now.panels
         watch.observe(target, W, panels.volume(), *panels.totals.tolist())
+        found = solver.kinks() if target < problem.end else solver.finish()
         if target in kept:
-            rows.append((W, K))
-            kinks += solver.kinks()
+            rows, kinks = [*rows, (W, K)], kinks + found
         if progress:
             progress(target / problem.end if problem.end else 1.0)
     W, K = (np.array([row[i] for row in rows]).reshape(-1, grid.cells + 1) for i in (0, 1))
@@ -413,7 +428,7 @@ def _march(
         steps=solver.steps,
         wall_seconds=seconds,
         kinks=kinks,
-        events=solver.events,
+        events=in_order(solver.events, problem.end * max(MOMENT, BEYOND * solver.tolerance)),
         bounds=watch.bounds,
         eroded_volume=watch.eroded_volume,
         outflow=float(solver.now.panels.totals[1]),
