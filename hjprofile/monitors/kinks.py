@@ -286,7 +286,7 @@ def _merge(loser: _Path, winner: _Path, dx: float, speed: Speed) -> None:
     else:
         speeds = [speed(p.sightings[p.times.index(t[-1])]) for p in (loser, winner)]
         closing, velocity, now, apart, here = speeds[0] - speeds[1], speeds[1], t[-1], gap[-1], xs[1][-1]
-    wait = apart / closing if closing * apart > 0 else t[-1] - now
+    wait = max(apart / closing if closing * apart > 0 else 0.0, loser.times[-1] - now)  # not before both are last seen
     loser.into = winner
     loser.end = Event(float(now + wait), "merge", 0, None, float(here + velocity * wait))
 

@@ -52,8 +52,7 @@ CORNER = 1e-3  # part of a panel within which a birth beside a corner is at it; 
 FLOOR = 1e-13  # least step, as a part of the end
 TOO_LONG = "it would take too long"
 MOST_PANELS = 4000
-MOMENT, BEYOND = 1e-11, 10.0  # accuracy of the times of events: as a part of the end, and in tolerances
-LOOK = 100.0  # how far events are looked for beyond the end, in the slopes of X at which a birth is seen
+MOMENT, BEYOND, LOOK = 1e-11, 10.0, 100.0  # of events: in ends, in tolerances, and in thresholds of a birth
 MOST_EVENTS = 200  # at one moment; each takes a kink, a panel or a label away
 
 
@@ -89,6 +88,7 @@ class _Solver:
         self.steps = 0
         # the smallest negative slope of X in the label that is no noise of panels or steps
         self.threshold = max(1e-7, 30.0 * POINTS**2 * tolerance)
+        self.moment = problem.end * max(MOMENT, BEYOND * tolerance)
         self._room()
 
     @property
@@ -194,10 +194,9 @@ class _Solver:
         ahead.events = []
         with suppress(Lost):
             ahead.advance(self.end * (1.0 + LOOK * self.threshold))
-        late = [e for e in ahead.events if e.time <= self.end * (1.0 + max(MOMENT, BEYOND * self.tolerance))]
+        late = [e for e in ahead.events if e.time <= self.end + self.moment]
         self.events += [e._replace(time=float(self.end)) for e in late]
-        gone = {e.kink for e in late if e.event != "birth"}
-        return [k for k in kinks if k.kink not in gone]
+        return [k for k in kinks if k.kink not in {e.kink for e in late if e.event != "birth"}]
 
     def read(self, nodes: Array) -> tuple[Array, Array]:
         """W and K at the nodes."""
@@ -394,7 +393,7 @@ def _march(
     # the least r lies a little below the least found on so many points, by less than that below the least on few
     few, many = float(start.r.min()), float((start.r @ interpolation(FINE).T).min())
     watch = SnapshotBounds(grid, mass, volume, allowed, law_q_f(max(2.0 * many - few, 0.5 * many), solver.table)[0])
-    kept, rows, kinks, seconds, status = problem.times, [], [], 0.0, "done"
+    kept, rows, kinks, seconds, status = problem.times, [], list[KinkRecord](), 0.0, "done"
     for target in np.unique(np.append(kept, problem.end)).tolist():
         started = time.perf_counter()
         try:
@@ -410,7 +409,8 @@ def _march(
         watch.observe(target, W, panels.volume(), *panels.totals.tolist())
         found = solver.kinks() if target < problem.end else solver.finish()
         if target in kept:
-            rows, kinks = [*rows, (W, K)], kinks + found
+            rows.append((W, K))
+            kinks += found
         if progress:
             progress(target / problem.end if problem.end else 1.0)
     W, K = (np.array([row[i] for row in rows]).reshape(-1, grid.cells + 1) for i in (0, 1))
@@ -428,7 +428,7 @@ def _march(
         steps=solver.steps,
         wall_seconds=seconds,
         kinks=kinks,
-        events=in_order(solver.events, problem.end * max(MOMENT, BEYOND * solver.tolerance)),
+        events=in_order(solver.events, solver.moment),
         bounds=watch.bounds,
         eroded_volume=watch.eroded_volume,
         outflow=float(solver.now.panels.totals[1]),
