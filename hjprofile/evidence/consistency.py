@@ -290,7 +290,7 @@ def _third_witness(ladders: dict[str, Ladder], problem: Problem, grid: Grid, res
 
 
 def _sound(run: Run) -> bool:
-    return run.done and all(b.holds for b in run.bounds.values())
+    return run.done and not run.cautions and all(b.holds for b in run.bounds.values())
 
 
 def _second_order(problem: Problem, cfl: float) -> Iterator[Check]:

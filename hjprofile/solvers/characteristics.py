@@ -51,9 +51,8 @@ ROUNDING = 1e-14  # of W of order 1, after some hundred steps; measured 7e-14 at
 CORNER = 1e-3  # part of a panel within which a birth beside a corner is at it; a sliver would halve every step
 FLOOR = 1e-13  # least step, as a part of the end
 TOO_LONG = "it would take too long"
-MOST_PANELS = 4000
 MOMENT, BEYOND, LOOK = 1e-11, 10.0, 100.0  # of events: in ends, in tolerances, and in thresholds of a birth
-MOST_EVENTS = 200  # at one moment; each takes a kink, a panel or a label away
+MOST_PANELS, MOST_EVENTS = 4000, 200  # events at one moment; each takes a kink, a panel or a label away
 
 
 class Lost(RunError):
@@ -79,7 +78,7 @@ class _Solver:
     """Characteristics on their way."""
 
     def __init__(self, problem: Problem, panels: Panels, table: LawTable, tolerance: float, patience: float):
-        self.table, self.tolerance, self.end, self.patience = table, tolerance, problem.end, patience
+        self.table, self.tolerance, self.end, self.patience = table, tolerance, float(problem.end), patience
         self.now = _Stretch(panels, 0.0, np.nan)
         self.r0 = float(problem.law.R(0.0))
         self.h = 0.01 * max(problem.end, 1e-300)
@@ -194,8 +193,7 @@ class _Solver:
         ahead.events = []
         with suppress(Lost):
             ahead.advance(self.end * (1.0 + LOOK * self.threshold))
-        late = [e for e in ahead.events if e.time <= self.end + self.moment]
-        self.events += [e._replace(time=float(self.end)) for e in late]
+        self.events += (late := [e._replace(time=self.end) for e in ahead.events if e.time <= self.end + self.moment])
         return [k for k in kinks if k.kink not in {e.kink for e in late if e.event != "birth"}]
 
     def read(self, nodes: Array) -> tuple[Array, Array]:
