@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import hjprofile as hj
-from hjprofile.evidence.consistency import check_consistency
+from hjprofile.evidence.consistency import Consistency, _within, check_consistency
 from hjprofile.evidence.records import records
 from hjprofile.monitors.kinks import KinkTracker
 from hjprofile.solvers import characteristics, conservation, march
@@ -232,6 +232,17 @@ def test_a_fault_shows_on_a_survey_too(fault, survey, monkeypatch):
     monkeypatch.setattr(march, "PATIENCE", 0)
     with np.errstate(all="ignore"):
         assert failures(case.problem, case.grid)
+
+
+def test_a_profile_that_the_grids_do_not_resolve_is_left_open():
+    """Too coarse for an estimate of errors: a warning, and no verdict against the solvers."""
+    apart = "independence:godunov:u", [250, 500, 1000, 2000], [0.14, 0.15, 0.15, 0.14], 0.05
+    left_open, fails = _within(*apart, sound=True, resolved=False), _within(*apart, sound=True, resolved=True)
+    assert left_open.passes and not left_open.resolved and left_open.line().startswith("unclear")
+    assert not fails.passes and fails.resolved
+    verdict = Consistency("slope", "Slope", [left_open])
+    assert verdict and "use more cells" in str(verdict) and "independence:godunov:u" in verdict.report()["warnings"][0]
+    assert not _within(*apart[:3], 1.0, sound=False, resolved=True).passes
 
 
 def test_compare_wants_nested_grids_and_common_times():
