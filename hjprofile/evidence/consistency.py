@@ -138,7 +138,7 @@ def check_consistency(
     checks += [_identity(runs, finest, m) for m in (*carried, "telescoping")]
     if not all(run.done for run in runs.values()):
         return checks
-    if not all(c.passes for c in checks if c.name.startswith("saved times")):
+    if not all(c.passes for c in checks if c.name.startswith("saved-times")):
         return checks  # runs at other times cannot be compared
     ladders = {m: Ladder(m, [runs[m, n] for n in ladder]) for m in ordered}
     resolved = any(one.converges for one in ladders.values() if one.method in carried or steep)
@@ -307,7 +307,7 @@ def _second_order(problem: Problem, cfl: float) -> Iterator[Check]:
     error = [compare(solve_conservative(bump, g, cfl=cfl), exact).height_l1 for g in grids]
     order = observed_order(SMOOTH_CELLS, error)
     rule = f"order >= {ORDER_SMOOTH:g} on a smooth bump under this law"
-    yield Check("order of conservative", [*SMOOTH_CELLS], error, _finite(order), ORDER_SMOOTH,
+    yield Check("order:conservative", [*SMOOTH_CELLS], error, _finite(order), ORDER_SMOOTH,
                 bool(order >= ORDER_SMOOTH), rule)  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from hjprofile.solvers.run import Array, KinkRecord, Run
 EPS = float(np.finfo(float).eps)
 MIDPOINT = ("lax-friedrichs", "local-lax-friedrichs", "godunov", "telescoping", "conservative")  # rule for ln K
 TABLE = 1e-9  # accuracy of a tabulated law in ln K and in speeds: measured 2e-11
-QUIET = ("bounds:", "saved ")  # comparisons that are printed only if they fail
+QUIET = ("bounds:", "saved-")  # comparisons that are printed only if they fail
 
 
 class Check(NamedTuple):
@@ -61,10 +61,10 @@ def _most(what: str, suffix: str, run: Run, off: Array, allowed: Array | float, 
     """The largest deviation as measured by what is allowed there."""
     off, allowed = np.broadcast_arrays(np.atleast_1d(off), np.asarray(allowed))
     if not off.size:
-        return Check(f"saved {what}{suffix}", [run.cells], [0.0], None, 0.0, True, rule)
+        return Check(f"saved-{what}{suffix}", [run.cells], [0.0], None, 0.0, True, rule)
     worst = np.unravel_index(np.argmax(np.nan_to_num(off - allowed, nan=np.inf)), off.shape)
     error, threshold = float(off[worst]), float(allowed[worst])
-    return Check(f"saved {what}{suffix}", [run.cells], [error], None, threshold, bool(error <= threshold), rule)
+    return Check(f"saved-{what}{suffix}", [run.cells], [error], None, threshold, bool(error <= threshold), rule)
 
 
 def _times(run: Run, problem: Problem) -> tuple[Array, Array | float]:
