@@ -240,7 +240,7 @@ def test_a_profile_that_the_grids_do_not_resolve_is_left_open():
     left_open, fails = _within(*apart, sound=True, resolved=False), _within(*apart, sound=True, resolved=True)
     assert left_open.passes and not left_open.resolved and left_open.line().startswith("unclear")
     assert not fails.passes and fails.resolved
-    verdict = Consistency("slope", "Slope", [left_open])
+    verdict = Consistency("slope", "Slope", (left_open,))
     assert verdict and "use more cells" in str(verdict) and "independence:godunov:u" in verdict.report()["warnings"][0]
     assert not _within(*apart[:3], 1.0, sound=False, resolved=True).passes
 
