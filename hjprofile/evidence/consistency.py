@@ -21,7 +21,7 @@ from hjprofile.errors import InputError, RunError
 from hjprofile.evidence.accuracy import Comparison, compare, observed_order
 from hjprofile.evidence.records import EPS, QUIET, Check, records
 from hjprofile.problem import LAYER_METHOD, OFF_GRID, Problem
-from hjprofile.problem.case import DEFAULT_METHOD, Case, load_case
+from hjprofile.problem.case import Case, load_case
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import bumps
 from hjprofile.solvers.characteristics import solve_characteristics
@@ -106,7 +106,7 @@ def check_consistency(
     cfl: float = 0.9,
     progress: Callable[[float], None] | None = None,
     refresh: float | None = None,
-    method: str = DEFAULT_METHOD,
+    method: str | None = None,
 ) -> list[Check]:
     """All comparisons for one problem, on four grids that end at the given one (2000 to 4000 cells).
 
@@ -123,7 +123,7 @@ def check_consistency(
     plan = [(m, n) for m in ordered for n in ladder]
     carried = () if steep else HJ_METHODS
     plan += [(m, finest) for m in ("telescoping", *(f"conservative-{m}" for m in (*carried, "telescoping")))]
-    plan += [] if method in (*OFF_GRID, "auto", LAYER_METHOD) else [(method, finest)]
+    plan += [] if method in (None, *OFF_GRID, LAYER_METHOD) else [(method, finest)]
     plan = list(dict.fromkeys(plan))
     runs: Runs = {}
     for i, (name, cells) in enumerate(plan):
