@@ -268,14 +268,16 @@ def test_check_passes(folder, call):
     assert (case["case"], case["title"], case["passes"], content["passes"]) == ("short", "Kurz", True, True)
     lines = out.splitlines()
     assert lines[0] == "short: passes" and lines[-1] == "written to results/short/check.json"
-    kinds = {"bounds", "identity", "independence", "kinks", "budget", "characteristics"}
+    kinds = {"bounds", "identity", "independence", "kinks", "budget", "characteristics", "order"}
+    kinds |= {f"saved-{what}" for what in ("times", "q", "K", "kinks", "events", "volume")}
     assert {c["name"].split(":")[0] for c in case["comparisons"]} == kinds
     for c in case["comparisons"]:
         assert c["passes"] is True and len(c["cells"]) == len(c["error"]) > 0
         assert all(isinstance(n, int) for n in c["cells"]) and all(isinstance(e, float) for e in c["error"])
         assert isinstance(c["threshold"], float) and isinstance(c["order"], float | None)
         printed = [line for line in lines if f" {c['name']} " in line]
-        assert len(printed) == (not c["name"].startswith("bounds:"))  # bounds only where they fail
+        quiet = c["name"].startswith(("bounds:", "saved-"))  # these only where they fail
+        assert len(printed) == (not quiet)
         assert all(line.startswith("  passes") for line in printed)
 
 

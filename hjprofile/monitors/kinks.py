@@ -11,14 +11,18 @@ import numpy as np
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.kernels.kinks import WIDEST, find_kinks
-from hjprofile.solvers.run import Array, Event, KinkRecord, State
+from hjprofile.solvers.run import Array, Event, KinkRecord, State, in_order
 
 Speed = Callable[["Sighting"], float]
 
-MEMORY = 10  # sightings at most from which a kink's speed is measured, ...
-NEARBY = 40  # ... and the cells within which they lie, or else the nearest two
+MEMORY = 10  # sightings at most from which a merge is dated
+NEARBY = 40  # cells within which the sightings lie from which a speed is measured or a merge is dated; ...
+FEWEST = 6  # ... for a speed those nearest, if they are fewer
+SCATTER = 0.005  # most that a sighting may be off the curve, as a part of the way: the speed is then off by 1 % or less
+LEAST_SPAN = 12  # cells over which a speed is measured: a position scatters by some 0.05 of a cell
 BACK = 2  # cells by which a kink may seem to go downhill: its place is known to 0.3 to 1.9 in the mean (theory, Kinks)
-LEAST_LIFE = 3  # sightings that make a kink; fewer are a flicker of the threshold
+LEAST_LIFE = 3  # sightings that make a kink still in sight at the end ...
+LEAST_WAY = 6  # ... and cells that any other crosses: what comes and goes within fewer is a flicker of the threshold
 
 
 class Sighting(NamedTuple):
@@ -36,10 +40,10 @@ class Sighting(NamedTuple):
 
 @dataclass(eq=False)
 class _Path:
-    """One kink through time."""
+    """One kink through time; numbers are given when all paths are known."""
 
-    number: int
     born: bool = False
+    number: int = 0
     times: list[float] = field(default_factory=list)
     sightings: list[Sighting] = field(default_factory=list)
     end: Event | None = None
@@ -58,17 +62,15 @@ class _Path:
             if p.into is other:
                 p.into = self
 
-    def recent(self, dx: float) -> tuple[Array, Array]:
-        """Times and places of the last MEMORY sightings that are near the last."""
-        x = np.array([s.x for s in self.sightings[-MEMORY:]])
-        near = np.abs(x - x[-1]) <= NEARBY * dx
-        return np.array(self.times[-MEMORY:])[near], x[near]
+    def seniority(self, t: float) -> tuple[bool, float]:
+        """Of two kinks that merge the lesser lives on: that of the start, or else the left one."""
+        return self.born, float(np.interp(t, self.times, [s.x for s in self.sightings]))
 
-    def velocity(self, dx: float, speed: Speed) -> float:
-        """Measured over the last sightings where there are enough, else by Rankine-Hugoniot; uphill in any case."""
-        t, x = self.recent(dx)
-        measured = _slope(t, x) if t.size > 3 else 0.0
-        return measured if measured > 0.0 else speed(self.sightings[-1])
+    def place(self, t: float) -> float:
+        """Position at t, later that of the kink into which this one has merged, and +inf after an exit."""
+        if t <= self.times[-1] or self.end is None:
+            return float(np.interp(t, self.times, [s.x for s in self.sightings]))
+        return self.into.place(t) if self.into else np.inf
 
 
 class KinkTracker:
@@ -125,15 +127,17 @@ class KinkTracker:
     def result(self, kept: Array) -> tuple[list[KinkRecord], list[Event]]:
         """Kinks at the kept times, and the events of the whole run."""
         paths = link(self.frames, self.grid.dx, self._speed)
+        turns = {id(p): sorted(o.end.time for o in paths if o.into is p and o.end) for p in paths}
         records = []
         for t in kept:
-            rows = [(path, path.times.index(t)) for path in paths if t in path.times]
+            left = [p for p in paths if p.end and p.end.event == "exit" and p.end.time <= t]
+            rows = [(p, p.times.index(t)) for p in paths if t in p.times and p not in left]
             for path, i in sorted(rows, key=lambda row: row[0].sightings[row[1]].x):
                 s = path.sightings[i]
                 records.append(
                     KinkRecord(
                         float(t), path.number, s.x, s.q_left, s.q_right, s.jump,
-                        _measured_speed(path, i, self.grid.dx), self._speed(s),
+                        _measured_speed(path, i, turns[id(path)], self.grid.dx), self._speed(s),
                     )
                 )  # fmt: skip
         return records, events_of(paths, self.frames[-1][0])
@@ -146,7 +150,8 @@ class KinkTracker:
 def link(frames: Sequence[tuple[float, list[Sighting]]], dx: float, speed: Speed) -> list[_Path]:
     """Links sightings at successive times into paths; `speed` maps a sighting to its Rankine-Hugoniot speed.
 
-    Kinks in the first frame are numbered from the left, later ones in the order of their births. A kink may be out of
+    Kinks in the first frame are numbered from the left, then those born later, again from the left: kinks do not pass
+    each other, so that this order is certain, while the date of a birth depends on the time steps. A kink may be out of
     sight for a while: where two shocks touch, their common rise can be too wide to be seen as one.
     """
     paths: list[_Path] = []
@@ -157,10 +162,11 @@ def link(frames: Sequence[tuple[float, list[Sighting]]], dx: float, speed: Speed
         for i, new in enumerate(sightings):
             claimants = _rightful(claims.get(i, []), dx)
             if not claimants:
-                claimants = [_Path(paths[-1].number + 1 if paths else 1, born=n > 0)]
+                claimants = [_Path(born=n > 0)]
+                claimants[0].add(t, new)
                 paths += claimants
                 living += claimants
-            path = min(claimants, key=lambda p: p.number)
+            path = min(claimants, key=lambda p: p.seniority(t))
             for other in claimants:
                 if other is not path:
                     living.remove(other)
@@ -168,16 +174,19 @@ def link(frames: Sequence[tuple[float, list[Sighting]]], dx: float, speed: Speed
                         _merge(other, path, dx, speed)
                     else:  # never seen side by side: one kink, which was out of sight for a while
                         path.join(other, paths)
-            path.add(t, new)
+            if path.times[-1] < t:
+                path.add(t, new)
         for path in [p for p in living if p.times[-1] < t]:
             if _leaves(path, t, dx, speed) or _is_lost(path, t, dx, speed):
                 living.remove(path)
     end = frames[-1][0] if frames else 0.0
+    for path in paths:
+        _leaves_at(end, path, dx, speed)
     _merge_lost(paths, end, dx, speed)
     for path in paths:
         if path.into:
             _settle(path, end, dx)
-    return _without_flicker(paths)
+    return _without_flicker(paths, end, dx)
 
 
 def _claims(
@@ -207,13 +216,13 @@ def _claims(
 
 def _expected(path: _Path, t: float, dx: float, speed: Speed) -> tuple[float, float]:
     """Where the kink should be at t, and how far from there it may be found."""
-    travel = path.velocity(dx, speed) * (t - path.times[-1])
+    travel = speed(path.sightings[-1]) * (t - path.times[-1])
     return path.sightings[-1].x + travel, 4 * dx + 0.5 * abs(travel)
 
 
 def _is_lost(path: _Path, t: float, dx: float, speed: Speed) -> bool:
     """Out of sight for longer than two shocks need to become one."""
-    return abs(path.velocity(dx, speed)) * (t - path.times[-1]) > 2 * WIDEST * dx
+    return abs(speed(path.sightings[-1])) * (t - path.times[-1]) > 2 * WIDEST * dx
 
 
 def _rightful(claimants: list[_Path], dx: float) -> list[_Path]:
@@ -245,15 +254,22 @@ def _untangle(claims: dict[int, list[_Path]], sightings: list[Sighting]) -> None
 
 def _leaves(path: _Path, t: float, dx: float, speed: Speed) -> bool:
     """Ends a path that went out of sight when it was about to reach x = 0."""
-    times, x = path.recent(dx)
-    velocity = path.velocity(dx, speed)
-    if velocity <= 0 or x[-1] < -3 * WIDEST * dx:
+    x, velocity = path.sightings[-1].x, speed(path.sightings[-1])
+    if velocity <= 0 or x < -3 * WIDEST * dx:
         return False
-    arrival = float(times[-1] - x[-1] / velocity)
+    arrival = path.times[-1] - x / velocity
     if arrival > t + 2 * WIDEST * dx / velocity:
         return False
-    path.end = Event(arrival, "exit", path.number, None, 0.0)
+    path.end = Event(arrival, "exit", 0, None, 0.0)
     return True
+
+
+def _leaves_at(end: float, path: _Path, dx: float, speed: Speed) -> None:
+    """Dates an exit to the end of the run that is due within BACK cells: the position is not known better."""
+    last, velocity = path.sightings[-1], speed(path.sightings[-1])
+    here = last.x + velocity * (end - path.times[-1])
+    if (path.end.event == "exit" if path.end else path.times[-1] == end) and -BACK * dx <= here < 0.0:
+        path.end = Event(end, "exit", 0, None, 0.0)
 
 
 def _merge(loser: _Path, winner: _Path, dx: float, speed: Speed) -> None:
@@ -270,9 +286,9 @@ def _merge(loser: _Path, winner: _Path, dx: float, speed: Speed) -> None:
     else:
         speeds = [speed(p.sightings[p.times.index(t[-1])]) for p in (loser, winner)]
         closing, velocity, now, apart, here = speeds[0] - speeds[1], speeds[1], t[-1], gap[-1], xs[1][-1]
-    wait = apart / closing if closing * apart > 0 else t[-1] - now
+    wait = max(apart / closing if closing * apart > 0 else 0.0, loser.times[-1] - now)  # not before both are last seen
     loser.into = winner
-    loser.end = Event(float(now + wait), "merge", loser.number, winner.number, float(here + velocity * wait))
+    loser.end = Event(float(now + wait), "merge", 0, None, float(here + velocity * wait))
 
 
 def _merge_lost(paths: list[_Path], end: float, dx: float, speed: Speed) -> None:
@@ -285,17 +301,15 @@ def _merge_lost(paths: list[_Path], end: float, dx: float, speed: Speed) -> None
             continue
         other = beside[0]
         gap = other.sightings[other.times.index(t)].x - x
-        closing = (lost.velocity(dx, speed) - speed(other.sightings[other.times.index(t)])) * np.sign(gap)
+        closing = (speed(lost.sightings[-1]) - speed(other.sightings[other.times.index(t)])) * np.sign(gap)
         if abs(gap) > WIDEST * dx or closing <= 0:
             continue
-        if lost.number < other.number:  # the lower number lives on: it takes over the rest of the other's path
+        if lost.seniority(t) < other.seniority(t):  # it takes over the rest of the other's path
             k = other.times.index(t) + 1
             lost.times += other.times[k:]
             lost.sightings += other.sightings[k:]
             other.times, other.sightings = other.times[:k], other.sightings[:k]
             lost.end, lost.into, other.end = other.end, other.into, None
-            if lost.end:
-                lost.end = lost.end._replace(kink=lost.number)
             for p in paths:
                 if p.into is other and p.end and p.end.time > t:
                     p.into = lost
@@ -307,26 +321,37 @@ def _settle(path: _Path, end: float, dx: float) -> None:
     """Keeps a merge only where and when the other kink was: it may have merged itself, or have gone out of sight."""
     event, other = path.end, path.into
     assert event and other
-    while other.end and other.end.time < event.time and other.into:
+    # of kinks that meet at one point, as far as the grid can tell, all merge into the one that lives on
+    while other.end and other.into and (other.end.time < event.time or abs(other.end.x - event.x) <= WIDEST * dx):
         other = other.into
     seen = np.interp(event.time, other.times, [s.x for s in other.sightings])
     gone = other.end.time if other.end else other.times[-1]
     if gone < min(event.time, end) or abs(seen - event.x) > WIDEST * dx:
         path.end = path.into = None
     else:
-        path.end, path.into = event._replace(into=other.number), other
+        path.into = other
 
 
-def _without_flicker(paths: list[_Path]) -> list[_Path]:
-    """Drops paths too short to be kinks, and numbers the others anew in the order of their births."""
+def _without_flicker(paths: list[_Path], end: float, dx: float) -> list[_Path]:
+    """Drops paths too short to be kinks, and numbers the others: those of the start, then later ones, from the left."""
     hosts = {id(p.into) for p in paths if p.into}
-    lasting = [p for p in paths if len(p.times) >= LEAST_LIFE or not p.born or id(p) in hosts]
-    for number, p in enumerate(lasting, start=1):
+
+    def lasts(p: _Path) -> bool:
+        far = p.sightings[-1].x - p.sightings[0].x >= LEAST_WAY * dx
+        return not p.born or id(p) in hosts or far or (p.times[-1] == end and len(p.times) >= LEAST_LIFE)
+
+    lasting = [p for p in paths if lasts(p)]
+    order: list[_Path] = []
+    for p in sorted(lasting, key=lambda p: (p.times[0], p.sightings[0].x)):
+        t, x = p.times[0], p.sightings[0].x
+        order.insert(next((i for i, other in enumerate(order) if other.place(t) > x), len(order)), p)
+    order.sort(key=lambda p: p.born)
+    for number, p in enumerate(order, start=1):
         p.number = number
-    for p in lasting:
+    for p in order:
         if p.end:
             p.end = p.end._replace(kink=p.number, into=p.into.number if p.into else None)
-    return lasting
+    return order
 
 
 def _slope(t: Array, x: Array) -> float:
@@ -336,22 +361,30 @@ def _slope(t: Array, x: Array) -> float:
     return float(centred @ x) / spread if spread > 0 else 0.0
 
 
-def _measured_speed(path: _Path, i: int, dx: float) -> float:
-    """Slope of a line through the sightings around the i-th; NaN if there is only one."""
-    x = [s.x for s in path.sightings]
-    first, last = max(i - 1, 0), min(i + 1, len(x) - 1)
-    while last - first < MEMORY:
-        more = [k for k in (first - 1, last + 1) if 0 <= k < len(x) and abs(x[k] - x[i]) <= NEARBY * dx]
-        if not more:
-            break
-        first, last = min(first, *more), max(last, *more)
-    if last == first:
+def _measured_speed(path: _Path, i: int, turns: Sequence[float], dx: float) -> float:
+    """dx/dt of the cubic through the sightings around the i-th, between the `turns`, at which the speed jumps.
+
+    One-sided beside a birth, a merge or an exit. NaN where the sightings are too few, too near each other for positions
+    that are known to a part of a cell, or not on one smooth curve; and at x = 0, where a kink is located less well.
+    """
+    t, x = np.array(path.times), np.array([s.x for s in path.sightings])
+    side = np.searchsorted(turns, t, side="right")
+    whole = x <= -WIDEST * dx
+    if not whole[i]:
         return float("nan")
-    return _slope(np.array(path.times[first : last + 1]), np.array(x[first : last + 1]))
+    t, x, far = (a[whole & (side == side[i])] for a in (t - t[i], x, np.abs(x - x[i])))
+    near = far <= max(NEARBY * dx, float(np.sort(far)[min(FEWEST, far.size) - 1]))
+    t, x = t[near], x[near]
+    if t.size < FEWEST - 1 or np.ptp(x) < LEAST_SPAN * dx:
+        return float("nan")
+    scale = float(np.ptp(t))
+    cubic = np.polyfit(t / scale, x, min(3, t.size - 2))
+    smooth = np.abs(np.polyval(cubic, t / scale) - x).max() <= SCATTER * np.ptp(x)
+    return float(cubic[-2]) / scale if smooth else float("nan")
 
 
 def events_of(paths: Sequence[_Path], end: float) -> list[Event]:
     """Births, merges and exits up to the time `end`, in their order."""
     births = [Event(p.times[0], "birth", p.number, None, p.sightings[0].x) for p in paths if p.born]
     ends = [p.end for p in paths if p.end and p.end.time <= end]
-    return sorted(births + ends, key=lambda e: (e.time, e.kink))
+    return in_order(births + ends)

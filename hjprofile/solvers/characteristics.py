@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,7 +39,7 @@ from hjprofile.solvers.label_events import (
     with_joint_at,
 )
 from hjprofile.solvers.panels import POINTS, RULE, TAIL, Panels, cut_into_panels, interpolation, tails
-from hjprofile.solvers.run import Array, Event, KinkRecord, Run
+from hjprofile.solvers.run import Array, Event, KinkRecord, Run, in_order
 from hjprofile.solvers.whole_line import also_on_the_whole_line
 
 TOLERANCE = 1e-12
@@ -50,8 +52,8 @@ ROUNDING = 1e-14  # of W of order 1, after some hundred steps; measured 7e-14 at
 CORNER = 1e-3  # part of a panel within which a birth beside a corner is at it; a sliver would halve every step
 FLOOR = 1e-13  # least step, as a part of the end
 TOO_LONG = "it would take too long"
-MOST_PANELS = 4000
-MOST_EVENTS = 200  # at one moment; each takes a kink, a panel or a label away
+MOMENT, BEYOND, LOOK = 1e-11, 10.0, 100.0  # of events: in ends, in tolerances, and in thresholds of a birth
+MOST_PANELS, MOST_EVENTS = 4000, 200  # events at one moment; each takes a kink, a panel or a label away
 
 
 class Lost(RunError):
@@ -77,7 +79,7 @@ class _Solver:
     """Characteristics on their way."""
 
     def __init__(self, problem: Problem, panels: Panels, table: LawTable, tolerance: float, patience: float):
-        self.table, self.tolerance, self.end, self.patience = table, tolerance, problem.end, patience
+        self.table, self.tolerance, self.end, self.patience = table, tolerance, float(problem.end), patience
         self.now = _Stretch(panels, 0.0, np.nan)
         self.r0 = float(problem.law.R(0.0))
         self.h = 0.01 * max(problem.end, 1e-300)
@@ -86,6 +88,7 @@ class _Solver:
         self.steps = 0
         # the smallest negative slope of X in the label that is no noise of panels or steps
         self.threshold = max(1e-7, 30.0 * POINTS**2 * tolerance)
+        self.moment = problem.end * max(MOMENT, BEYOND * tolerance)
         self._room()
 
     @property
@@ -184,6 +187,15 @@ class _Solver:
         return np.flatnonzero(
             (np.maximum(tails(panels.r), tails(panels.X)) > most) & (high > low) & (panels.mesh.half > 1e-9)
         ).tolist()
+
+    def finish(self) -> list[KinkRecord]:
+        """The kinks at the end; events that rounding puts just behind it are noted, and end kinks."""
+        kinks, ahead = self.kinks(), copy(self)  # what follows writes over K
+        ahead.events = []
+        with suppress(Lost):
+            ahead.advance(self.end * (1.0 + LOOK * self.threshold))
+        self.events += (late := [e._replace(time=self.end) for e in ahead.events if e.time <= self.end + self.moment])
+        return [k for k in kinks if k.kink not in {e.kink for e in late if e.event != "birth"}]
 
     def read(self, nodes: Array) -> tuple[Array, Array]:
         """W and K at the nodes."""
@@ -380,7 +392,7 @@ def _march(
     # the least r lies a little below the least found on so many points, by less than that below the least on few
     few, many = float(start.r.min()), float((start.r @ interpolation(FINE).T).min())
     watch = SnapshotBounds(grid, mass, volume, allowed, law_q_f(max(2.0 * many - few, 0.5 * many), solver.table)[0])
-    kept, rows, kinks, seconds, status = problem.times, [], [], 0.0, "done"
+    kept, rows, kinks, seconds, status = problem.times, [], list[KinkRecord](), 0.0, "done"
     for target in np.unique(np.append(kept, problem.end)).tolist():
         started = time.perf_counter()
         try:
@@ -394,9 +406,10 @@ def _march(
         W, K = solver.read(grid.nodes)
         panels = solver.now.panels
         watch.observe(target, W, panels.volume(), *panels.totals.tolist())
+        found = solver.kinks() if target < problem.end else solver.finish()
         if target in kept:
             rows.append((W, K))
-            kinks += solver.kinks()
+            kinks += found
         if progress:
             progress(target / problem.end if problem.end else 1.0)
     W, K = (np.array([row[i] for row in rows]).reshape(-1, grid.cells + 1) for i in (0, 1))
@@ -414,7 +427,7 @@ def _march(
         steps=solver.steps,
         wall_seconds=seconds,
         kinks=kinks,
-        events=solver.events,
+        events=in_order(solver.events, solver.moment),
         bounds=watch.bounds,
         eroded_volume=watch.eroded_volume,
         outflow=float(solver.now.panels.totals[1]),

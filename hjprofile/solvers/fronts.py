@@ -29,7 +29,7 @@ from hjprofile.solvers.kernels.exact_fronts import advance_exactly
 from hjprofile.solvers.kernels.law import LawTable, law_q_f, start_pieces
 from hjprofile.solvers.kernels.steps import StepLaw
 from hjprofile.solvers.kernels.steps import start_pieces as start_steep_pieces
-from hjprofile.solvers.run import Array, Run, VerticalStep
+from hjprofile.solvers.run import Array, Run, VerticalStep, in_order
 from hjprofile.solvers.vertical_steps import REACH, WEAK, StepTracker, Tracker, step_law
 from hjprofile.solvers.whole_line import also_on_the_whole_line
 
@@ -407,7 +407,7 @@ def track_and_prove(
         steps=int(tracker.totals[2]),
         wall_seconds=seconds,
         kinks=kinks,
-        events=sorted(tracker.events, key=lambda e: (e.time, e.kink)),
+        events=in_order(tracker.events, tracker.moment * problem.end),
         vertical_steps=steps if problem.law.grows_linearly else None,
         bounds=watch.bounds,
         eroded_volume=watch.eroded_volume,

@@ -34,7 +34,7 @@ from hjprofile.solvers.data_resolution import cells_resolve
 from hjprofile.solvers.fronts import track_fronts
 from hjprofile.solvers.high_order import ORDERS
 from hjprofile.solvers.march import NOBODY, Scheme, march
-from hjprofile.solvers.run import Keeper, Monitor, Run
+from hjprofile.solvers.run import Keeper, Monitor, Run, in_order
 from hjprofile.solvers.select import least_work
 from hjprofile.solvers.vertical_steps import step_law
 from hjprofile.solvers.whole_line import also_on_the_whole_line
@@ -208,7 +208,7 @@ def _solve(
         # on a grid nothing tells of which kink a step has come: steps are numbered after all kinks
         taken = max([k.kink for k in kinks] + [e.kink for e in events], default=0)
         vertical_steps, more = steps.result(taken)
-        events = sorted(events + more, key=lambda e: (e.time, e.kink))
+        events = in_order(events + more)
     u = record.W
     u += grid.nodes
     return Run(

@@ -132,6 +132,22 @@ class Event(NamedTuple):
     x: float
 
 
+def in_order(events: Sequence[Event], moment: float = 0.0) -> list[Event]:
+    """Events by time and kink. Of kinks that meet within a `moment` all merge into the one that lives on.
+
+    `moment` is the accuracy of the times: at a point where three kinks meet, rounding decides which pair is first.
+    """
+    merges = {e.kink: e for e in events if e.event == "merge"}
+
+    def survivor(e: Event) -> int | None:
+        into = e.into
+        while into in merges and abs(merges[into].time - e.time) <= moment:
+            into = merges[into].into
+        return into
+
+    return sorted((e._replace(into=survivor(e)) for e in events), key=lambda e: (e.time, e.kink))
+
+
 class Verdict(NamedTuple):
     """Whether a bound held, and when and where it was nearest to being broken (`x` is NaN if it has no place).
 

@@ -12,6 +12,7 @@ from hjprofile.solvers.kernels.dormand_prince import STAGES, state_at, step_erro
 from hjprofile.solvers.kernels.fronts import merge, note_events, outflow_at, speeds, sweep
 
 TOGETHER = 1e-13  # fronts no further apart are at one place
+AT_END = 1e-11  # ... and at the end of an integration, where rounding can put an event just behind it
 ALIKE = 1e-10  # relative difference of speeds below which fronts at one place stay there
 IDLE = 1000  # steps in a row that bring nothing before the integration gives up
 
@@ -129,9 +130,11 @@ def advance_exactly(
     while n > 0:
         # fronts at one place that do not part are one front: after an event, and in the data
         rates_of(x, jump, n, r0, law, work, rates[0])
-        together = False
+        together, near = False, TOGETHER if t < end else AT_END
+        if t >= end and x[n - 1] >= -near:
+            x[n - 1] = 0.0
         for j in range(n - 2, -1, -1):
-            if j == met or (x[j + 1] - x[j] <= TOGETHER and rates[0, j] > (1.0 - ALIKE) * rates[0, j + 1]):
+            if j == met or (x[j + 1] - x[j] <= near and rates[0, j] > (1.0 - ALIKE) * rates[0, j + 1]):
                 x[j] = x[j + 1] + 4e-15 * max(1.0, abs(x[j + 1]))
                 together = True
         if together or x[n - 1] >= 0.0:

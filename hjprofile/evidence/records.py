@@ -1,0 +1,136 @@
+"""What a result folder contains, each part recomputed from the others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from hjprofile.problem import OFF_GRID, Problem
+from hjprofile.solvers.run import Array, KinkRecord, Run
+
+EPS = float(np.finfo(float).eps)
+MIDPOINT = ("lax-friedrichs", "local-lax-friedrichs", "godunov", "telescoping", "conservative")  # rule for ln K
+TABLE = 1e-9  # accuracy of a tabulated law in ln K and in speeds: measured 2e-11
+QUIET = ("bounds:", "saved-")  # comparisons that are printed only if they fail
+
+
+class Check(NamedTuple):
+    """One comparison: errors on each grid, the observed order, and the rule by which it passes.
+
+    Where it is not `resolved` the grids are too coarse to decide: it passes, with a warning.
+    """
+
+    name: str
+    cells: list[int]
+    error: list[float]
+    order: float | None
+    threshold: float
+    passes: bool
+    rule: str
+    resolved: bool = True
+
+    def line(self) -> str:
+        """As it is printed."""
+        order = f"order {self.order:.2f}, " if self.order is not None else ""
+        cells = f" on {self.cells[-1]} {'fronts' if ':fronts:' in self.name else 'cells'}"
+        verdict = ("passes" if self.resolved else "unclear") if self.passes else "FAILS"
+        return f"{verdict:7} {self.name:36} {order}{self.error[-1]:.2g}{cells}  ({self.rule})"
+
+
+def records(run: Run, problem: Problem, refresh: float | None, suffix: str) -> Iterator[Check]:
+    """Saved times, q, K, speeds and histories of kinks, and the eroded volume, each recomputed from the rest."""
+    rounding = 8.0 * EPS * (1.0 + np.abs(run.u).max()) * np.sqrt(run.cells)
+    dx = float(np.ptp(run.x)) / run.cells
+    yield _most("times", suffix, run, *_times(run, problem), "those that the case asks for")
+    slopes = np.diff(run.u, axis=1) / dx - 1.0 - run.q
+    yield _most("q", suffix, run, np.abs(slopes), rounding / dx, "the difference quotient of u less 1")
+    off, allowed = _factor(run, problem, refresh)
+    yield _most("K", suffix, run, off, allowed, "exp of the integral of f(q), or the coefficient")
+    yield _most("kinks", suffix, run, *_speeds(run, problem), "K [f]/[q] and [q] with the saved K")
+    faults = float(sum(1 for _ in _impossible(run, problem)))
+    yield _most("events", suffix, run, np.array([faults]), 0.0, "histories of kinks agree with their events")
+    volume = np.trapezoid(run.u[0] - run.u[-1], run.x) - run.eroded_volume
+    moved = 2.0 * dx * np.abs(run.u[0] - run.u[-1]).max() + rounding
+    if run.time[0] == 0.0 and run.time[-1] == problem.end:
+        yield _most("volume", suffix, run, np.abs(volume), moved, "the integral of u(0, x) - u(t, x), to first order")
+
+
+def _most(what: str, suffix: str, run: Run, off: Array, allowed: Array | float, rule: str) -> Check:
+    """The largest deviation as measured by what is allowed there."""
+    off, allowed = np.broadcast_arrays(np.atleast_1d(off), np.asarray(allowed))
+    if not off.size:
+        return Check(f"saved-{what}{suffix}", [run.cells], [0.0], None, 0.0, True, rule)
+    worst = np.unravel_index(np.argmax(np.nan_to_num(off - allowed, nan=np.inf)), off.shape)
+    error, threshold = float(off[worst]), float(allowed[worst])
+    return Check(f"saved-{what}{suffix}", [run.cells], [error], None, threshold, bool(error <= threshold), rule)
+
+
+def _times(run: Run, problem: Problem) -> tuple[Array, Array | float]:
+    if run.time.size != problem.times.size:
+        return np.array([np.inf]), 0.0
+    return np.abs(run.time - problem.times), 4.0 * EPS * problem.end
+
+
+def _factor(run: Run, problem: Problem, refresh: float | None) -> tuple[Array, Array | float]:
+    """|ln K - ln K'| at the nodes, with K' by the midpoint rule, and what rounding or another rule makes of it."""
+    dx = float(np.ptp(run.x)) / run.cells
+    ln_K = np.log(run.K)
+    if problem.coefficient is not None:
+        times = run.time
+        if refresh:  # frozen since the last multiple, which rounding can put just behind a saved time
+            times = np.minimum(refresh * np.floor(run.time / refresh * (1.0 + 1e-9) + 1e-9), run.time)
+        return np.abs(ln_K - np.log(problem.coefficient.values(times[:, None], run.x))), 1e-12
+    ln_K -= ln_K[:, -1:]  # on the whole line K is not 1 at the right end
+    f = problem.law.f(run.q)
+    right = np.zeros((run.time.size, 1))
+    off = np.abs(ln_K - dx * np.hstack([np.cumsum(f[:, ::-1], axis=1)[:, ::-1], right]))
+    if refresh:  # K is that of the last refresh: at those times, the present one
+        part = run.time / refresh
+        off = off[np.abs(part - np.round(part)) <= 1e-9 * np.maximum(part, 1.0)]
+        ln_K = ln_K[: len(off)]
+    if run.method.removeprefix("conservative-") in MIDPOINT:
+        return off, TABLE * (1.0 + np.abs(ln_K).max(initial=0.0))
+    # any rule that takes f between the values in neighbouring cells is as near as f varies
+    vary = np.abs(np.diff(f, axis=1, prepend=f[:, :1])) + np.abs(np.diff(f, axis=1, append=f[:, -1:]))
+    inside = f[:, -1:] * 0.0 + np.abs(f[:, -1:])  # to the value at x = 0 nothing is known
+    return off, dx * np.hstack([np.cumsum(vary[:, ::-1], axis=1)[:, ::-1], right]) + dx * inside + TABLE
+
+
+def _speeds(run: Run, problem: Problem) -> tuple[Array, Array]:
+    """Deviations of jumps and Rankine-Hugoniot speeds, as parts of them; off the grid K varies within a cell."""
+    off, allowed = [], []
+    exact = run.method in OFF_GRID
+    midpoint = run.method.removeprefix("conservative-") in MIDPOINT
+    dx = float(np.ptp(run.x)) / run.cells
+    for i in range(run.time.size):
+        for k in run.kinks_at(i):
+            f_left, f_right = float(problem.law.f(k.q_left)), float(problem.law.f(k.q_right))
+            speed = float(np.interp(k.x, run.x, run.K[i])) * (f_right - f_left) / k.jump
+            off += [abs(speed / k.rankine_hugoniot_speed - 1.0), abs((k.q_right - k.q_left) / k.jump - 1.0)]
+            at = int(np.clip(np.searchsorted(run.x, k.x) - 1, 0, run.cells - 1))
+            steepest = np.abs(problem.law.f(run.q[i, max(at - 1, 0) : at + 2])).max()
+            near = dx * (abs(f_left) + abs(f_right) + steepest)
+            if not exact:
+                near += dx * np.abs(np.diff(problem.law.f(run.q[i]))).sum()
+            allowed += [TABLE + (0.0 if midpoint else near), TABLE]
+    return np.array(off), np.array(allowed)
+
+
+def _impossible(run: Run, problem: Problem) -> Iterator[KinkRecord | object]:
+    """Rows and events that contradict each other."""
+    slack = 1e-9 * problem.end
+    ends = {e.kink: e for e in run.events if e.event in ("merge", "exit")}
+    births = {e.kink: e.time for e in run.events if e.event == "birth"}
+    known = {k.kink for k in run.kinks} | births.keys()
+    for e in run.events:
+        if not -slack <= e.time <= problem.end + slack or not run.x[0] <= e.x <= run.x[-1]:
+            yield e
+        if e.event == "merge" and (e.into == e.kink or e.into not in known):
+            yield e
+    for k in run.kinks:
+        if not run.x[0] <= k.x <= run.x[-1] or k.time not in run.time or k.time < births.get(k.kink, 0.0) - slack:
+            yield k
+        if k.kink in ends and ends[k.kink].time < k.time - slack:
+            yield k
