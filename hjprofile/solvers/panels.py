@@ -251,9 +251,8 @@ def _smooth(problem: Problem, x: float, end: float, ends: tuple, sample: Sample)
         at = 0.5 * (a + b) + half * RULE.s
         at[0], at[-1] = a, b
         W = profile.W(at, law) - W0
-        q = profile.excess(at, law)
-        if q is None:
-            q = RULE.D @ W / half
+        stated = profile.excess(at, law)
+        q = RULE.D @ W / half if stated is None else stated
         if a == x and ends[0] is not None:
             q[0] = ends[0]
         if b == end and ends[1] is not None:
@@ -262,8 +261,9 @@ def _smooth(problem: Problem, x: float, end: float, ends: tuple, sample: Sample)
         dI = RULE.D @ (W + r)
         inside = slice(*np.searchsorted(sample.x, [a, b]))
         missed = interpolation((sample.x[inside] - 0.5 * (a + b)) / half) @ W - (sample.W[inside] - W0)
-        # x is known to its rounding, and r to that times its slope
-        noise = max(TAIL_OF_DATA, 2.0 * np.finfo(float).eps * max(abs(a), abs(b)) * np.abs(RULE.D @ r).max() / half)
+        # x is known to its rounding, and r to that times its slope, which on a panel that is too wide means nothing
+        slope = float(np.abs(RULE.D @ r).max()) / half if stated is not None else 0.0
+        noise = min(max(TAIL_OF_DATA, 2.0 * np.finfo(float).eps * max(abs(a), abs(b)) * slope), MISSED)
         resolved = tails(np.array([r, W + r])).max() <= noise
         if not (resolved and np.abs(missed).max(initial=0.0) <= MISSED * (1.0 + np.abs(W).max())):
             if half < NARROWEST:
