@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -104,7 +105,7 @@ def _leave(reading: int, sentence: str) -> NoReturn:
     late = threading.Timer(PATIENCE, end)
     late.daemon = True
     late.start()
-    for undo in reversed(_undo):
+    for undo in (*reversed(_undo), sys.stdout.flush):  # what was said is not lost with the process
         with suppress(Exception):
             undo()
     end()

@@ -143,12 +143,14 @@ def test_a_domain_in_metres_is_told(tmp_path, solver):
     problem = hj.Problem(hj.rational(), slope, 0.05, 2)
     assert SOLVERS[solver](problem, hj.Grid(-12.0, 400)).cautions == ()
     run = SOLVERS[solver](problem, hj.Grid(-120.0, 400))
-    (caution,) = run.cautions
+    caution = run.cautions[-1]  # on a grid after that on cells that do not resolve the slope
+    assert (len(run.cautions) == 2) == (solver in ("grid", "conservative"))
     assert caution.startswith("the survey covers only 0.083 of the domain, which begins at left = -120: left is in ")
     assert "exchange lengths, of 12 in the survey's unit; set it to -10.55, or leave it out" in caution
     assert caution in run.warnings
     moved = dataclasses.replace(problem, profile=dataclasses.replace(slope, units=None))
-    assert SOLVERS[solver](moved, hj.Grid(-120.0, 400)).cautions == ()  # without units nothing could be metres
+    others = SOLVERS[solver](moved, hj.Grid(-120.0, 400)).cautions
+    assert not [other for other in others if "covers" in other]  # without units nothing could be metres
 
 
 def test_a_coefficient_is_of_the_same_slope(tmp_path):

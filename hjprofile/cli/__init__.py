@@ -65,7 +65,6 @@ def _own_process() -> None:
             setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
     leave_when_asked(_told(INTERRUPTED, "interrupted"))
     gc.disable()  # the imports would be searched for garbage again and again
-    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # nothing that is said waits to be written
 
 
 def _leave(sentence: str, code: int, about: str) -> NoReturn:

@@ -345,10 +345,10 @@ def solve_characteristics(
     """Solves by shock-fitted characteristics, with steps and panels to `tolerance`, and reads the result on a grid.
 
     The method is in theory, §5; the tolerance is 1e-12 by default. A second run with a coarser tolerance gives
-    `error_estimate`, the error of u that comes of it over the whole run. The grid is by default 2000 cells over the
-    profile. `patience` is the most work, in seconds but by count, so that every machine gives up at the same point.
-    Where the method cannot go on, `status` says when, where and why, and the last saved time is the last good one.
-    Raises InputError for bad input and where a flux enters at the left end, and RunError if the data cannot be cut.
+    `error_estimate`, the error of u over the whole run. The grid is by default 2000 cells over the profile. `patience`
+    is the largest work in counted seconds, the same on every machine. If the method cannot go on, `status` gives time,
+    position and reason, and the last saved time is the last good one. Raises InputError for bad input or a flux at the
+    left end, RunError if the data cannot be cut.
     """
     asked, tolerance = tolerance, TOLERANCE if tolerance is None else as_number(tolerance)
     if not FINEST <= tolerance <= COARSEST:
