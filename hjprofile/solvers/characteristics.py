@@ -84,8 +84,7 @@ class _Solver:
         self.r0 = float(problem.law.R(0.0))
         self.h = 0.01 * max(problem.end, 1e-300)
         self.events: list[Event] = []
-        self.count = panels.shocks
-        self.steps = 0
+        self.count, self.steps = panels.shocks, 0
         # the smallest negative slope of X in the label that is no noise of panels or steps
         self.threshold = max(1e-7, 30.0 * POINTS**2 * tolerance)
         self.moment = problem.end * max(MOMENT, BEYOND * tolerance)
