@@ -199,6 +199,7 @@ def test_a_tolerance_that_is_not_met_is_a_failed_run(tmp_path, monkeypatch, caps
         main(["run", str(case), "--out", str(tmp_path / "out")])
     out, err = capsys.readouterr()
     assert left.value.code == 1 and "the tolerance 1e-13 is not met" in err and "WARNING" in out
+    assert ".;" not in err
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["status"] != "done" and "the tolerance 1e-13 is not met" in summary["warnings"][0]
     assert list(hj.load_run(tmp_path / "out").cautions) == summary["warnings"]

@@ -533,3 +533,8 @@ def test_a_sweep_that_is_stopped_loses_only_what_was_in_flight(in_tmp, call, mon
     assert code == 0 and f"12 done ({done} of them before)" in out
     assert [float(row["time.end"]) for row in rows("results/scene/sweep.csv")] == ends
     assert [p.suffix for p in kept.iterdir()] == [".npz"] * 12
+
+
+def test_an_executor_is_one(scene):
+    with pytest.raises(hj.InputError, match="executor = 'folder' must be of the type Executor"):
+        hj.sweep(scene, VARY, "folder")

@@ -80,7 +80,7 @@ def run(
     say(json, f"  written     {folder}: {listing(folder.path, files)}")
     answer(json, summary(result) | {"resumed_at": checkpoint.resumed_at, "files": files})
     if not result.done:
-        raise RunError(f"{loaded.source}: {result.status}; the last good state is in {folder}")
+        raise RunError(f"{loaded.source}: {result.status.rstrip('.')}; the last good state is in {folder}")
 
 
 @app.command

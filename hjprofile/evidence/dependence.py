@@ -26,7 +26,7 @@ from hjprofile.evidence.accuracy import observed_order
 from hjprofile.evidence.fractional import fractional_steps
 from hjprofile.problem import Problem, profiles
 from hjprofile.problem.case import DEFAULT_CFL
-from hjprofile.problem.coefficient import tabulated
+from hjprofile.problem.coefficient import Coefficient, tabulated
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.ranges import instance
@@ -44,6 +44,7 @@ PARTS = (0.2, 0.05, 0.0125)  # of a coefficient, by which it is off
 WAVES = 4  # disturbances of a coefficient, each a sum of SUMMANDS
 SUMMANDS = 3
 REFRESHES = (64, 32, 16, 8)  # time steps of mean length that make a fractional step
+TIMES_OF_K = 17  # at which a coefficient is compared with itself
 PIECES = 4  # a disturbance is a step function of so many pieces at most
 NOTHING = 1e-12  # |q| of a slope that is critical but for rounding
 ROUNDING = 1e-9  # part of a bound by which a distance may exceed it
@@ -227,7 +228,7 @@ class _Study:
 
         Nothing where the coefficient does not depend on time, and freezing it changes nothing.
         """
-        if self.problem.coefficient is not None and self.problem.coefficient.steady:
+        if self.problem.coefficient is not None and self._does_not_change(self.problem.coefficient):
             return
         lengths = [self.problem.end * min(steps / max(self.base.steps, 1), 1.0) for steps in REFRESHES]
         found = fractional_steps(self.problem, self.grid, METHOD, lengths)
@@ -236,6 +237,14 @@ class _Study:
                 Distance(self.case, study, member, step.refresh, self.problem.end, distance, np.nan)
                 for study, distance in (("refresh", step.error_q_l1), ("refresh kinks", step.error_kink))
             ]
+
+    def _does_not_change(self, k: Coefficient) -> bool:
+        """Whether k is known to be steady, or a function of t and x has the same values at uneven times."""
+        if k.steady:
+            return True
+        times = self.problem.end * np.sqrt(np.linspace(0.0, 1.0, TIMES_OF_K))  # even times could miss a period
+        values = k.values(times[:, None], self.grid.nodes)
+        return bool(np.array_equal(values, np.broadcast_to(values[0], values.shape)))
 
     def rows(self, study: str, member: int, first: Path, second: Path, size: float | None = None) -> list[Distance]:
         """The distance between two solutions; its size is that at the start if no other is given."""

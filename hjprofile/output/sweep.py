@@ -20,7 +20,7 @@ from hjprofile.output.archive import pack, unpack
 from hjprofile.output.folder import MEMBERS, ResultFolder, owner_of
 from hjprofile.output.store import to_csv, to_json
 from hjprofile.problem.case import find_case
-from hjprofile.problem.ranges import plain, shown
+from hjprofile.problem.ranges import instance, plain, shown
 from hjprofile.solvers.run import Array
 
 KEPT = "members"  # folder of what is done
@@ -78,6 +78,8 @@ def sweep(
     """
     if not isinstance(vary, Mapping) or not all(isinstance(key, str) for key in vary):
         raise InputError(f"vary = {shown(vary)} must be a table of keys and their values")
+    if executor is not None:
+        instance("executor", executor, Executor)
     choices = {key: _list(key, values) for key, values in vary.items()}
     made = members(case, choices)
     outcomes: dict[int, Outcome] = {i: Outcome(m.refused) for i, m in enumerate(made) if m.refused}
