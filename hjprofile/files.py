@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Files that appear whole or not at all."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hjprofile.interrupts import undone
 
 
 def write_whole(path: Path, data: bytes | str) -> None:
-    """Writes beside `path` and then replaces it, so that nobody ever sees half a file."""
+    """Write next to `path` and then replace it, so that half a file is never visible."""
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.name}.{os.urandom(4).hex()}")
     with undone(lambda: beside.unlink(missing_ok=True)):
@@ -25,5 +25,5 @@ def write_whole(path: Path, data: bytes | str) -> None:
             with suppress(OSError):
                 beside.unlink()
             if isinstance(error, OSError):
-                error.filename = str(path)  # a full disk does not say where
+                error.filename = str(path)  # the error of a full disk names no file
             raise

@@ -17,7 +17,7 @@ _early: list[int] = []
 
 
 def leave_when_asked(sentence: str) -> None:
-    """From now on a signal ends this process with exit code 1 and the sentence on stderr.
+    """Let a signal end this process from now on, with exit code 1 and the sentence on stderr.
 
     A thread of its own does so. An exception in the main thread would come late, when the compiler returns to Python,
     and could be lost in a callback or turned into another by a module that is imported.
@@ -32,7 +32,7 @@ def leave_when_asked(sentence: str) -> None:
 
 
 def heed_no_more() -> None:
-    """The process is about to end by itself: a signal in its last moments changes nothing."""
+    """Ignore signals, because the process is about to end by itself."""
     for s in SIGNALS:
         if signal.getsignal(s) is _wake:
             signal.signal(s, signal.SIG_IGN)
@@ -40,7 +40,7 @@ def heed_no_more() -> None:
 
 @contextmanager
 def answered(answer: Callable[..., Any]) -> Iterator[None]:
-    """Within, the first signal calls `answer` in the main thread; a second one does what signals did before."""
+    """Call `answer` in the main thread at the first signal in this context, and restore the former handlers then."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -68,7 +68,7 @@ def answered(answer: Callable[..., Any]) -> Iterator[None]:
 
 @contextmanager
 def undone(undo: Callable[[], object]) -> Iterator[None]:
-    """Within, a process that is asked to end calls `undo` first, from another thread."""
+    """Call `undo`, from another thread, if a signal ends the process in this context."""
     _undo.append(undo)
     try:
         yield
@@ -77,23 +77,23 @@ def undone(undo: Callable[[], object]) -> Iterator[None]:
 
 
 def watched() -> bool:
-    """Whether the only thread beside this one is the one that waits for signals: it holds nothing that a fork needs."""
+    """Return True if no other thread runs, except the one that waits for signals, which is harmless for a fork."""
     others = set(threading.enumerate()) - {threading.current_thread()}
     return all(thread.name == __name__ for thread in others)
 
 
 def _heeded() -> list[int]:
-    """Those that whoever started the process (nohup, a shell's `&`) does not have ignored."""
+    """Return the signals that are not ignored by the parent of the process (nohup, a shell's `&`)."""
     return [s for s in SIGNALS if signal.getsignal(s) not in (signal.SIG_IGN, None)]
 
 
 def _wake(number: int, _: Any) -> None:
-    """The interpreter itself wakes the thread that waits for signals, once there is one."""
+    """Note an early signal. Later the interpreter itself wakes the thread that waits for signals."""
     _early.append(number)
 
 
 def _leave(reading: int, sentence: str) -> NoReturn:
-    """Waits for a signal, and ends the process."""
+    """Wait for a signal, then end the process."""
     while os.read(reading, 1)[0] not in SIGNALS:
         pass
 
@@ -105,7 +105,7 @@ def _leave(reading: int, sentence: str) -> NoReturn:
     late = threading.Timer(PATIENCE, end)
     late.daemon = True
     late.start()
-    for undo in (*reversed(_undo), sys.stdout.flush):  # what was said is not lost with the process
+    for undo in (*reversed(_undo), sys.stdout.flush):  # printed output is not lost with the process
         with suppress(Exception):
             undo()
     end()

@@ -449,7 +449,7 @@ def test_a_file_that_changes_while_a_sweep_runs(in_tmp):
         case, {"time.end": [0.4, 0.5]}, folder="out",
         progress=lambda done: (in_tmp / "law.py").write_text("def f(q):\n    return 2 * q / (1 + q)\n"),
     )  # fmt: skip
-    assert result.outcomes[0].done and "is not what it was when the sweep began" in result.outcomes[1].status
+    assert result.outcomes[0].done and "has changed since the sweep began" in result.outcomes[1].status
     assert len(list(Path("out", KEPT).iterdir())) == 1
 
 

@@ -38,7 +38,7 @@ def _whole(_: Any, tokens: Any) -> int:
 
 
 def expanded(_: Any, tokens: Any) -> Path:
-    """A path in which ~ is the home folder also where no shell has expanded it, as in --out=~/results."""
+    """Return a path in which ~ is the home folder, also if no shell has expanded it, as in --out=~/results."""
     from contextlib import suppress
 
     path = Path(tokens[0].value)
@@ -95,9 +95,9 @@ def load_cases(names: tuple[Path, ...], out: Path | None) -> tuple[ResultFolder,
 
 
 def folder_for(names: tuple[Path, ...], out: Path | None, keep: str = "") -> ResultFolder:
-    """The folder for what comes of these cases. A folder that the user names may have belonged to another case.
+    """Return the folder for the results of these cases. A folder that the user names may have belonged to another case.
 
-    Raises InputError if a case cannot be read, or the folder that goes by its name belongs to another.
+    Raises InputError if a case cannot be read, or if its default folder belongs to another case.
     """
     from hjprofile.output.folder import ResultFolder, owner_of
     from hjprofile.problem.case import find_case

@@ -106,7 +106,7 @@ def _write(
     found: Mapping[str, Any] | None = None,
     account: str = "",
 ) -> None:
-    """Write what was made from a result, then print what was found, where there is something, and the files."""
+    """Write the files made from a result. Then print the account, if there is one, and the files."""
     from hjprofile.output.folder import add_files
 
     paths = add_files(result, folder, files)

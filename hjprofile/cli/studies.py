@@ -134,13 +134,13 @@ def dependence(case: CasePath, /, *, out: Out = None, json: Json = False) -> Non
 
 
 def _written(folder: ResultFolder, files: list[Path], picture: Written) -> str:
-    """The last line of an account, after a warning if the picture could not be drawn."""
+    """Return the last line of an account, after a warning if the picture could not be drawn."""
     lines = [f"WARNING: {warning}" for warning in picture.warnings]
     return "\n".join([*lines, f"written to {folder}: {listing(folder.path, files + picture.files)}"])
 
 
 def _point(p: Point, reference: Reference) -> str:
-    """A line of the account; `<` before an error that is as small as the reference can tell."""
+    """Return a line of the account, with `<` before an error that is not above the error of the reference."""
     q = f"{'<' * (p.error_q_l1 <= reference.error_q):>1}{p.error_q_l1:7.1e}"
     u = f"{'<' * (p.error_u_sup <= reference.error):>1}{p.error_u_sup:7.1e}"
     return f"  {p.method:22} {p.cells:6}  {q} of q  {u} of u  {p.seconds:.2g} s"

@@ -18,7 +18,7 @@ STRONG = 0.25  # jump above which every method here sees a kink on a few hundred
 
 
 class Comparison(NamedTuple):
-    """How far two runs are apart, over all times that both have saved, t = 0 among them if it is one.
+    """Distances of two runs over all times that both have saved, t = 0 among them if it is one.
 
     Times that differ by rounding only are one.
 
@@ -29,7 +29,7 @@ class Comparison(NamedTuple):
         height_sup: sup|u₁ - u₂|, the largest of all times.
         kinks: |x₁ - x₂| of the kinks whose jump exceeds 0.25, the mean over those times after the start at which both
             runs see as many; NaN if there are none.
-        shared_times: how many times that is.
+        shared_times: number of these times.
     """
 
     slope_l1: float
@@ -61,7 +61,7 @@ class Shared(NamedTuple):
 
 
 def shared(first: Run, second: Run) -> Shared:
-    """Both runs where they can be compared.
+    """Return both runs on the grid and at the times that they share.
 
     The grids must be the same, or one a refinement of the other by a whole number. Raises InputError otherwise, or if
     the runs share no saved time, or are of surveys in different units.
@@ -97,7 +97,7 @@ def shared(first: Run, second: Run) -> Shared:
 
 
 def _shared_times(first: Array, second: Array) -> tuple[Array, Array]:
-    """Numbers of the times in each that are in both, to rounding; each is taken once."""
+    """Return the numbers of the times in each that are in both, to rounding; each is taken once."""
     nearest = np.searchsorted(0.5 * (second[1:] + second[:-1]), first)
     near = np.flatnonzero(np.abs(first - second[nearest]) <= SAME_TIME * max(first[-1], second[-1]))
     j, once = np.unique(nearest[near], return_index=True)
@@ -105,10 +105,10 @@ def _shared_times(first: Array, second: Array) -> tuple[Array, Array]:
 
 
 def compare(first: Run, second: Run) -> Comparison:
-    """How far two runs are apart on the coarser of their grids and at the times that both have saved.
+    """Return the distances of two runs on the coarser of their grids and at the times that both have saved.
 
-    Raises InputError if the grids have not the same ends, if the cells of neither are a whole number of times those of
-    the other, if the runs share no saved time, or if both are of surveys, in different units.
+    Raises InputError if the grids differ in their ends, or if the cells of neither are a whole multiple of those of
+    the other. Raises it also if the runs share no saved time, or are of surveys in different units.
     """
     for run in (first, second):
         instance("run", run, Run)
@@ -129,7 +129,7 @@ def compare(first: Run, second: Run) -> Comparison:
 
 
 def kink_distances(first: Sequence[KinkRecord], second: Sequence[KinkRecord]) -> Array:
-    """|x₁ - x₂| of the kinks stronger than STRONG of one time, from the left; empty if they are not as many."""
+    """Return |x₁ - x₂| of the kinks stronger than STRONG at one time, from the left; empty if their numbers differ."""
     places = [np.sort([k.x for k in kinks if k.jump > STRONG]) for kinks in (first, second)]
     return np.abs(places[0] - places[1]) if places[0].size == places[1].size else np.empty(0)
 

@@ -29,9 +29,9 @@ STEEP_REFERENCE_FRONTS = 3200  # under a law of linear growth, where a front cos
 REPEATS = 3
 PATIENCE = 0.3  # seconds that a run may take before finer ones of its method are left out
 SNAPSHOTS = 5  # times over which errors are taken
-INTEGRATED = 1e-12  # error of what is integrated to 1e-13: closed forms of all laws but the rational one, exact fronts
+INTEGRATED = 1e-12  # error of solutions integrated to 1e-13: exact fronts; closed forms, except for the rational law
 NOTHING = 1e-12  # |q| of a slope that is critical but for rounding
-SAFETY = 2.0  # times the distance of a reference to a coarser run of its method: what it may be off in q
+SAFETY = 2.0  # error of a reference in q, as a multiple of its distance to a coarser run of its method
 
 
 class Point(NamedTuple):
@@ -41,7 +41,7 @@ class Point(NamedTuple):
         case, method: their names.
         cells: of the grid; of `fronts` their number, and for characteristics the cells they are read on.
         error_u_sup: sup|u - exact u|, the largest of five times, both ends among them.
-        error_q_l1: ∫|q - exact q| dx, the largest of these times. Neither is less than what the reference may be off.
+        error_q_l1: ∫|q - exact q| dx, the largest of these times. Neither is less than the error of the reference.
         seconds, steps: of the time stepping.
     """
 
@@ -55,7 +55,7 @@ class Point(NamedTuple):
 
 
 class Reference(NamedTuple):
-    """What errors are measured against.
+    """A reference solution, from which errors are measured.
 
     Attributes:
         name: of the method.
@@ -73,12 +73,12 @@ class Reference(NamedTuple):
 def chart(
     case: str, problem: Problem, grid: Grid, cfl: float = 0.9, progress: Callable[[float], None] | None = None
 ) -> tuple[list[Point], Reference]:
-    """Runs every method at several resolutions; each point has the median seconds of three runs.
+    """Run every method at several resolutions; each point has the median seconds of three runs.
 
     Seconds are those of the time stepping alone, compilation and output apart. Errors are sup|u - exact u| and
     ∫|q - exact q| dx, the largest of five times, both ends among them. Methods that break down at a resolution are left
     out there. Raises InputError if no time passes, if a coefficient is prescribed, or if the slope is critical at all
-    of these times but the first; RunError if no method reaches the end.
+    of these times except the first. Raises RunError if no method reaches the end.
     """
     instance("problem", problem, Problem)
     instance("grid", grid, Grid)
@@ -138,12 +138,12 @@ def _plan(problem: Problem, grid: Grid, cfl: float) -> Iterator[tuple[str, Ladde
 
 
 def _distance(q: Array, other: Array, grid: Grid) -> float:
-    """∫|q - other| dx, the largest of the times."""
+    """Return the largest ∫|q - other| dx of all times."""
     return grid.dx * float(np.abs(q - other).sum(axis=1).max())
 
 
 def _reference(problem: Problem, grid: Grid) -> Reference:
-    """The closed form if the data have one, else characteristics, else fronts, both at their finest."""
+    """Return the closed form if the data have one, else characteristics, else fronts, both at their finest."""
     exact = closed_form(problem)
     if exact is not None:
         error = 0.0 if problem.law.name == "rational" else INTEGRATED

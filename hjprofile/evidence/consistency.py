@@ -35,7 +35,7 @@ LEAST_CELLS, MOST_CELLS = 2000, 4000  # of the finest grid; orders read on coars
 
 ROUNDING = 1e-10  # of volumes and distances
 SAFETY = 2.0  # on estimates from three differences: the error of a kink depends on its position within a cell
-WORST_ORDER = 0.5  # that theory gives in L1; a run that falls short of it is not in its asymptotic range
+WORST_ORDER = 0.5  # that theory gives in L1; below it a run is not in its asymptotic range
 BEST_ORDER = 1.0  # of any method on a grid across a kink
 WITNESS = 1e-9  # tolerance of characteristics: far below the error of any grid here
 FRONTS = (400, 800, 1600)
@@ -109,12 +109,12 @@ def check_consistency(
     refresh: float | None = None,
     method: str | None = None,
 ) -> list[Check]:
-    """All comparisons for one problem, on four grids that end at the given one (2000 to 4000 cells).
+    """Return all comparisons for one problem, on four grids that end at the given one (2000 to 4000 cells).
 
-    A `method` on a grid that is not among those that are compared is only tested for what it saves, and its bounds.
+    If `method` is a method on a grid that is not compared, only its bounds and its saved data are tested.
 
-    With a prescribed coefficient, and with a refresh interval, neither the volume budget of the nonlocal factor nor the
-    third witness exists, and both are left out. Under a law of linear growth only the methods that carry vertical steps
+    With a prescribed coefficient, and with a refresh interval, the volume budget of the nonlocal factor and the third
+    witness do not exist, and both are left out. Under a law of linear growth only the methods that carry vertical steps
     are compared (theory, §14). Raises InputError and RunError as `check`.
     """
     instance("problem", problem, Problem)
@@ -175,15 +175,15 @@ class Ladder:
 
     @property
     def converges(self) -> bool:
-        """Whether heights come together at least as fast as theory says."""
+        """True if heights converge at least with the order of the theory."""
         away = [c.height_l1 for c in self.steps]
         return max(away) <= ROUNDING or observed_order(self.cells[1:], away) >= WORST_ORDER
 
 
 def _richardson(steps: Sequence[float]) -> float:
-    """The error of the finest of several grids, each twice as fine as the last, from the differences between them.
+    """Return the error of the finest of several grids, each twice as fine as the last, from their differences.
 
-    The largest of what each difference implies: the last can be small by chance.
+    It is the largest of the estimates from each difference, because the last one can be small by chance.
     """
     order = observed_order([2**i for i in range(len(steps))], steps)
     order = min(max(order, WORST_ORDER), BEST_ORDER) if np.isfinite(order) else WORST_ORDER
@@ -206,10 +206,10 @@ def _bounded(name: str, cells: int, error: float, threshold: float, rule: str) -
 
 
 def _within(name: str, cells: list[int], error: list[float], estimate: float, sound: bool, resolved: bool) -> Check:
-    """Passes if two solutions are no further apart on the finest grid than the errors of both are estimated to be.
+    """Compare the distance of two solutions on the finest grid with the sum of their estimated errors.
 
-    Where the profile is not `resolved`, an estimate is not to be relied on, and the comparison stays open; where one of
-    the solutions is not `sound`, that is, does not converge where a less accurate one does, it fails.
+    If the profile is not `resolved`, an estimate is unreliable, and the comparison stays open. It fails if one of the
+    solutions is not `sound`, that is, if it does not converge although a less accurate one does.
     """
     allowed = SAFETY * estimate + ROUNDING
     near = bool(error[-1] <= allowed)
@@ -221,7 +221,7 @@ def _within(name: str, cells: list[int], error: list[float], estimate: float, so
 
 
 def _identity(runs: Runs, finest: int, method: str) -> Check:
-    """Rounding of u, as a slope, that steps add up at random; where slopes are steep, so much more."""
+    """Compare D u - 1 - q with the rounding of u over Δx, summed over the steps at random, and steep slopes."""
     a, b = runs[method, finest], runs[f"conservative-{method}", finest]
     steep = 1.0 + float(np.abs(a.q).max())
     dx = float(np.ptp(a.x)) / a.cells
@@ -231,7 +231,7 @@ def _identity(runs: Runs, finest: int, method: str) -> Check:
 
 
 def _independence(ladders: dict[str, Ladder], resolved: bool) -> Iterator[Check]:
-    """Each Hamilton-Jacobi method against the second-order conservative one, which shares nothing with it."""
+    """Compare each Hamilton-Jacobi method with the second-order conservative one, which shares nothing with it."""
     other = ladders["conservative"]
     for method in (m for m in ladders if m in HJ_METHODS):
         one = ladders[method]
@@ -254,9 +254,9 @@ def _finite(order: float) -> float | None:
 
 
 def _third_witness(ladders: dict[str, Ladder], problem: Problem, grid: Grid, resolved: bool) -> Iterator[Check]:
-    """Characteristics, or else fronts, solve neither form on a grid: both solvers converge to them.
+    """Compare both solvers with characteristics, or else with fronts, which solve neither form on a grid.
 
-    Left out where a flux enters, and where the witness itself does not reach its end within its bounds.
+    The comparison is left out if a flux enters, or if the witness itself does not reach its end within its bounds.
     """
     if problem.profile.inflow:
         return
@@ -297,7 +297,7 @@ def _sound(run: Run) -> bool:
 
 
 def _second_order(problem: Problem, cfl: float) -> Iterator[Check]:
-    """The second-order method under the case's law, on a smooth bump before it breaks: there it has its order."""
+    """Measure the order of the second-order method under the case's law, on a smooth bump before it breaks."""
     speed = float(problem.law.derivative(0.0))
     bump = Problem(problem.law, bumps(**SMOOTH), end=SMOOTH_END / speed, snapshots=2)
     grids = [Grid(-8.0, n) for n in SMOOTH_CELLS]
@@ -315,7 +315,7 @@ def _second_order(problem: Problem, cfl: float) -> Iterator[Check]:
 
 
 def _budgets(runs: Runs, ladders: dict[str, Ladder], resolved: bool) -> Iterator[Check]:
-    """The eroded volume against ∫(K(left) - 1) dt: to rounding by some, else an error that vanishes with the others."""
+    """Compare the eroded volume with ∫(K(left) - 1) dt: equal to rounding, or with an error that converges."""
     for method, one in ladders.items():
         error = [r.volume_budget_error for r in one.runs]
         if method not in HJ_METHODS and max(error) <= ROUNDING:

@@ -8,7 +8,7 @@ which is [dep_on_coefficients] with its constants, and with k = K(q), k̃ = K(q�
 gives [continous-dep-on-init-data].
 
 Both solutions of a pair take the same time steps. So with one prescribed coefficient the scheme, which is monotone and
-conservative, lets no distance grow but for rounding: E = 0.
+conservative, lets no distance grow except by rounding: E = 0.
 """
 
 from __future__ import annotations
@@ -76,11 +76,11 @@ class Distance(NamedTuple):
 def dependence(
     case: str, problem: Problem, grid: Grid, progress: Callable[[float], None] | None = None
 ) -> list[Distance]:
-    """Disturbs the problem's profile, then its coefficient, and follows how far the solutions come apart.
+    """Disturb the problem's profile, then its coefficient, and measure the distances of the solutions.
 
-    By the method `godunov` on CELLS cells: the contractions of the theory hold for a monotone scheme too. Raises
-    InputError where something flows in, no time passes or the slope is critical at all saved times but the first;
-    RunError where a run stops.
+    The method is `godunov` on CELLS cells: the contractions of the theory hold for a monotone scheme too. Raises
+    InputError if a flux enters, if no time passes, or if the slope is critical at all saved times except the first.
+    Raises RunError if a run stops.
     """
     instance("problem", problem, Problem)
     instance("grid", grid, Grid)
@@ -114,9 +114,9 @@ class Path(NamedTuple):
 
 
 def solve_together(first: Problem, second: Problem, grid: Grid) -> tuple[Path, Path]:
-    """Two problems by METHOD with the same time steps, as long as the faster of them admits.
+    """Solve two problems by METHOD with the same time steps, as long as the faster of them admits.
 
-    They share their saved times. Raises Breakdown or Halt where one of them cannot go on.
+    They share their saved times. Raises Breakdown or Halt if one of them cannot go on.
     """
     schemes = [scheme(problem, grid, METHOD) for problem in (first, second)]
     rows: list[tuple[list[Array], list[Array]]] = [([], []), ([], [])]
@@ -167,7 +167,7 @@ class _Study:
         self.scale = max(1.0, float(np.abs(self.q).sum()) * grid.dx)
 
     def solve(self, first: Problem, second: Problem) -> tuple[Path, Path]:
-        """The solutions of two problems; raises RunError if there are none."""
+        """Return the solutions of two problems. Raises RunError if there are none."""
         try:
             return solve_together(first, second, self.grid)
         except Halt as halt:
@@ -180,7 +180,7 @@ class _Study:
             ) from None
 
     def from_means(self, q: Array) -> Problem:
-        """The problem with the cell means q."""
+        """Return the problem with the cell means q."""
         nodes, W = self.grid.nodes, np.append(0.0, np.cumsum(q) * self.grid.dx)
         return replace(self.problem, profile=profiles.profile(lambda x: x + np.interp(x, nodes, W)))
 
@@ -224,9 +224,9 @@ class _Study:
         )
 
     def refreshes(self) -> Iterator[list[Distance]]:
-        """K anew in every step, and K frozen over fractional steps: means over time (see `fractional`).
+        """Compare K updated in every step with K frozen over fractional steps: means over time (see `fractional`).
 
-        Nothing where the coefficient does not depend on time, and freezing it changes nothing.
+        Nothing is yielded if the coefficient does not depend on time, because freezing it changes nothing.
         """
         if self.problem.coefficient is not None and self._does_not_change(self.problem.coefficient):
             return
@@ -269,7 +269,7 @@ def _times(k: Callable[[Any, Any], Any], part: float, wave: Callable[[Any, Any],
 
 
 def distance_bound(law: ErosionLaw, first: Run | Path, second: Run | Path) -> Array:
-    """‖q - q̃‖₁(0) + ∫E dτ (see the module) at the saved times of two solutions on one grid; of two E the smaller."""
+    """Return ‖q - q̃‖₁(0) + ∫E dτ (see the module) at the saved times of two solutions, with the smaller of two E."""
     dx = float(first.x[1] - first.x[0])
     apart = first.K - second.K
     variation = np.abs(np.diff(apart, axis=1)).sum(axis=1)
@@ -332,7 +332,7 @@ def summary(distances: Sequence[Distance]) -> tuple[list[str], str]:
 
 
 def _growth(data: Sequence[Distance], share: float) -> str:
-    """How far pairs of slopes come apart; with a prescribed coefficient the bound is the distance at the start."""
+    """Return a line on the distances of pairs of slopes; a prescribed coefficient bounds them by those at the start."""
     pairs = len({d.member for d in data})
     if all(math.isclose(d.bound, d.size, rel_tol=ROUNDING) for d in data):
         return f"‖q - q̃‖₁ {'never grows' if share <= 1.0 + ROUNDING else 'GROWS'}, {pairs} pairs"

@@ -19,7 +19,7 @@ QUIET = ("bounds:", "saved-")  # comparisons that are printed only if they fail
 class Check(NamedTuple):
     """One comparison: errors on each grid, the observed order, and the rule by which it passes.
 
-    Where it is not `resolved` the grids are too coarse to decide: it passes, with a warning.
+    If it is not `resolved`, the grids are too coarse to decide: it passes, with a warning.
     """
 
     name: str
@@ -32,7 +32,7 @@ class Check(NamedTuple):
     resolved: bool = True
 
     def line(self) -> str:
-        """As it is printed."""
+        """Return the line that is printed."""
         order = f"order {self.order:.2f}, " if self.order is not None else ""
         cells = f" on {self.cells[-1]} {'fronts' if ':fronts:' in self.name else 'cells'}"
         verdict = ("passes" if self.resolved else "unclear") if self.passes else "FAILS"
@@ -40,7 +40,7 @@ class Check(NamedTuple):
 
 
 def records(run: Run, problem: Problem, refresh: float | None, suffix: str) -> Iterator[Check]:
-    """Saved times, q, K, speeds and histories of kinks, and the eroded volume, each recomputed from the rest."""
+    """Check saved times, q, K, speeds and histories of kinks, and the eroded volume, each against the rest."""
     rounding = 8.0 * EPS * (1.0 + np.abs(run.u).max()) * np.sqrt(run.cells)
     dx = float(np.ptp(run.x)) / run.cells
     yield _most("times", suffix, run, *_times(run, problem), "those that the case asks for")
@@ -58,7 +58,7 @@ def records(run: Run, problem: Problem, refresh: float | None, suffix: str) -> I
 
 
 def _most(what: str, suffix: str, run: Run, off: Array, allowed: Array | float, rule: str) -> Check:
-    """The largest deviation as measured by what is allowed there."""
+    """Return a Check of the largest deviation relative to its allowance."""
     off, allowed = np.broadcast_arrays(np.atleast_1d(off), np.asarray(allowed))
     if not off.size:
         return Check(f"saved-{what}{suffix}", [run.cells], [0.0], None, 0.0, True, rule)
@@ -74,7 +74,7 @@ def _times(run: Run, problem: Problem) -> tuple[Array, Array | float]:
 
 
 def _factor(run: Run, problem: Problem, refresh: float | None) -> tuple[Array, Array | float]:
-    """|ln K - ln K'| at the nodes, with K' by the midpoint rule, and what rounding or another rule makes of it."""
+    """Return |ln K - ln K'| at the nodes, with K' by the midpoint rule, and the allowance for rounding and rules."""
     dx = float(np.ptp(run.x)) / run.cells
     ln_K = np.log(run.K)
     if problem.coefficient is not None:
@@ -92,14 +92,14 @@ def _factor(run: Run, problem: Problem, refresh: float | None) -> tuple[Array, A
         ln_K = ln_K[: len(off)]
     if run.method.removeprefix("conservative-") in MIDPOINT:
         return off, TABLE * (1.0 + np.abs(ln_K).max(initial=0.0))
-    # any rule that takes f between the values in neighbouring cells is as near as f varies
+    # any rule with f between the values in neighbouring cells differs by at most the variation of f
     vary = np.abs(np.diff(f, axis=1, prepend=f[:, :1])) + np.abs(np.diff(f, axis=1, append=f[:, -1:]))
-    inside = f[:, -1:] * 0.0 + np.abs(f[:, -1:])  # to the value at x = 0 nothing is known
+    inside = f[:, -1:] * 0.0 + np.abs(f[:, -1:])  # the value at x = 0 is unknown
     return off, dx * np.hstack([np.cumsum(vary[:, ::-1], axis=1)[:, ::-1], right]) + dx * inside + TABLE
 
 
 def _speeds(run: Run, problem: Problem) -> tuple[Array, Array]:
-    """Deviations of jumps and Rankine-Hugoniot speeds, as parts of them; off the grid K varies within a cell."""
+    """Return relative deviations of jumps and Rankine-Hugoniot speeds; off the grid K varies within a cell."""
     off, allowed = [], []
     exact = run.method in OFF_GRID
     midpoint = run.method.removeprefix("conservative-") in MIDPOINT
@@ -119,7 +119,7 @@ def _speeds(run: Run, problem: Problem) -> tuple[Array, Array]:
 
 
 def _impossible(run: Run, problem: Problem) -> Iterator[KinkRecord | object]:
-    """Rows and events that contradict each other."""
+    """Yield the rows and events that contradict each other."""
     slack = 1e-9 * problem.end
     ends = {e.kink: e for e in run.events if e.event in ("merge", "exit")}
     births = {e.kink: e.time for e in run.events if e.event == "birth"}

@@ -251,7 +251,7 @@ Make = Callable[[_Data], Scheme]
 
 
 def _methods() -> dict[str, tuple[Make, Promises, float]]:
-    """Every method on a grid: how to set it up, what it promises, and its largest CFL number for any data by theory."""
+    """Return, for every method on a grid, its setup, its bounds, and its largest CFL number for any data by theory."""
 
     def first_order(flux: str) -> Make:
         return lambda data: hj.HamiltonJacobi(data.law, data.grid, data.W, hj.FLUXES[flux])

@@ -33,7 +33,7 @@ QUANTITIES = {  # name -> what it is
     "largest_rise": "largest u(end,x) - u(0,x)",
     "q_min": "least excess slope at the end, mean over a cell",
     "q_max": "largest excess slope at the end, mean over a cell",
-    "K_foot": "nonlocal factor at the left end at the end: flux of grains over what is poured in",
+    "K_foot": "nonlocal factor at the left end at the end: flux of grains relative to the flux poured in",
     "kinks_at_end": "kinks at the end",
     "births": "births of kinks",
     "merges": "merges of kinks",
@@ -52,7 +52,7 @@ class Member(NamedTuple):
         content: the tables of the case, with these values in them.
         name, source, base: of the case file: its name, its path, the folder to which paths in it are relative.
         grid: of the case; None if it was refused.
-        identity: a hash that tells it from every other run.
+        identity: a hash that distinguishes it from every other run.
         refused: why there is no such case, or "".
     """
 
@@ -158,9 +158,9 @@ def run_member(member: Member) -> Outcome:
     """Solves one member by its case's own method. Whatever goes wrong is its status: others go on."""
     try:
         case = parse_case(member.content, member.name, member.source, member.base)
-        if digest_of(case) != member.identity:  # what is kept of this run would be taken for another's
+        if digest_of(case) != member.identity:  # its results would be taken for those of another run
             return Outcome(
-                f"{case.source}: a file that the case names, or the package itself, is not what it was when the sweep "
+                f"{case.source}: a file that the case names, or the package itself, has changed since the sweep "
                 "began; sweep again"
             )
         run = solve_case(case)

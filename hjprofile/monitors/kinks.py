@@ -22,7 +22,7 @@ SCATTER = 0.005  # most that a sighting may be off the curve, as a part of the w
 LEAST_SPAN = 12  # cells over which a speed is measured: a position scatters by some 0.05 of a cell
 BACK = 2  # cells by which a kink may seem to go downhill: its place is known to 0.3 to 1.9 in the mean (theory, Kinks)
 LEAST_LIFE = 3  # sightings that make a kink still in sight at the end ...
-LEAST_WAY = 6  # ... and cells that any other crosses: what comes and goes within fewer is a flicker of the threshold
+LEAST_WAY = 6  # ... and cells that any other crosses: a rise that ends within fewer is a flicker of the threshold
 
 
 class Sighting(NamedTuple):
@@ -63,11 +63,11 @@ class _Path:
                 p.into = self
 
     def seniority(self, t: float) -> tuple[bool, float]:
-        """Of two kinks that merge the lesser lives on: that of the start, or else the left one."""
+        """Return the rank of a kink at t. Of two that merge the lower lives on: that of the start, or else the left."""
         return self.born, float(np.interp(t, self.times, [s.x for s in self.sightings]))
 
     def place(self, t: float) -> float:
-        """Position at t, later that of the kink into which this one has merged, and +inf after an exit."""
+        """Return the position at t, later that of the kink into which this one has merged, and +inf after an exit."""
         if t <= self.times[-1] or self.end is None:
             return float(np.interp(t, self.times, [s.x for s in self.sightings]))
         return self.into.place(t) if self.into else np.inf
@@ -148,11 +148,11 @@ class KinkTracker:
 
 
 def link(frames: Sequence[tuple[float, list[Sighting]]], dx: float, speed: Speed) -> list[_Path]:
-    """Links sightings at successive times into paths; `speed` maps a sighting to its Rankine-Hugoniot speed.
+    """Link sightings at successive times into paths; `speed` maps a sighting to its Rankine-Hugoniot speed.
 
-    Kinks in the first frame are numbered from the left, then those born later, again from the left: kinks do not pass
-    each other, so that this order is certain, while the date of a birth depends on the time steps. A kink may be out of
-    sight for a while: where two shocks touch, their common rise can be too wide to be seen as one.
+    Kinks in the first frame are numbered from the left, then those born later, again from the left. Kinks do not pass
+    each other, so that this order is certain, but the date of a birth depends on the time steps. A kink may be
+    unresolved for a while: where two shocks touch, their common rise can be too wide to count as one.
     """
     paths: list[_Path] = []
     living: list[_Path] = []  # with those that are out of sight
@@ -265,7 +265,7 @@ def _leaves(path: _Path, t: float, dx: float, speed: Speed) -> bool:
 
 
 def _leaves_at(end: float, path: _Path, dx: float, speed: Speed) -> None:
-    """Dates an exit to the end of the run that is due within BACK cells: the position is not known better."""
+    """Date an exit that is due within BACK cells to the end of the run, because no position is more accurate."""
     last, velocity = path.sightings[-1], speed(path.sightings[-1])
     here = last.x + velocity * (end - path.times[-1])
     if (path.end.event == "exit" if path.end else path.times[-1] == end) and -BACK * dx <= here < 0.0:
@@ -333,7 +333,7 @@ def _settle(path: _Path, end: float, dx: float) -> None:
 
 
 def _without_flicker(paths: list[_Path], end: float, dx: float) -> list[_Path]:
-    """Drops paths too short to be kinks, and numbers the others: those of the start, then later ones, from the left."""
+    """Drop paths too short to be kinks, and number the others: those of the start, then later ones, from the left."""
     hosts = {id(p.into) for p in paths if p.into}
 
     def lasts(p: _Path) -> bool:
@@ -362,10 +362,10 @@ def _slope(t: Array, x: Array) -> float:
 
 
 def _measured_speed(path: _Path, i: int, turns: Sequence[float], dx: float) -> float:
-    """dx/dt of the cubic through the sightings around the i-th, between the `turns`, at which the speed jumps.
+    """Return dx/dt of the cubic through the sightings around the i-th, between the `turns`, at which the speed jumps.
 
-    One-sided beside a birth, a merge or an exit. NaN where the sightings are too few, too near each other for positions
-    that are known to a part of a cell, or not on one smooth curve; and at x = 0, where a kink is located less well.
+    The fit is one-sided close to a birth, a merge or an exit. The speed is NaN if the sightings are too few, too near
+    each other for their accuracy, or not on one smooth curve. It is NaN at x = 0, where kinks are located less well.
     """
     t, x = np.array(path.times), np.array([s.x for s in path.sightings])
     side = np.searchsorted(turns, t, side="right")

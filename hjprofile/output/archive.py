@@ -1,4 +1,4 @@
-"""Arrays and text in one file with a digest: it comes back as it was written, or not at all."""
+"""Arrays and text in one file, with a digest against damage."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _DIGEST = "digest"
 
 
 def pack(arrays: Mapping[str, Array]) -> bytes:
-    """The content of an archive. Reading it runs no code."""
+    """Return the content of an archive. Reading it runs no code."""
     buffer = io.BytesIO()
     np.savez(buffer, **{**arrays, _DIGEST: np.array(_digest(arrays))})  # type: ignore[arg-type]
     return buffer.getvalue()
 
 
 def unpack(path: Path) -> dict[str, Array]:
-    """Name -> array of an archive. Raises FileNotFoundError, and ValueError if it is damaged."""
+    """Return name -> array of an archive. Raises FileNotFoundError, and ValueError if it is damaged."""
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}

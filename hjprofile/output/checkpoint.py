@@ -27,7 +27,7 @@ class Checkpoint:
     """
 
     def __init__(self, folder: Path, interval: float, resume: bool, claim: Callable[[str], None] = lambda name: None):
-        """`claim` is called with the name of the checkpoint before one is written."""
+        """Prepare a keeper, which calls `claim` with the name of the checkpoint before it writes one."""
         self.path, self.interval, self.resume, self.claim = folder / NAME, interval, resume, claim
         self.resumed_at: float | None = None  # the time t from which the run went on
         self.heeding, self.asked = ExitStack(), False
@@ -57,7 +57,7 @@ class Checkpoint:
             return None
         except (ValueError, LookupError, TypeError, AttributeError) as error:
             raise InputError(
-                f"{self.path} is damaged ({error}); run without --resume to start anew", about="a-checkpoint"
+                f"{self.path} is damaged ({error}); run without --resume to start again", about="a-checkpoint"
             ) from None
         for key in self.identity | theirs:
             mine, kept = self.identity.get(key), theirs.get(key)
@@ -68,7 +68,7 @@ class Checkpoint:
                     else f"{key} = {kept} there, {mine} here"
                 )
                 raise InputError(
-                    f"{self.path} is of another run: {what}; run without --resume to start anew", about="a-checkpoint"
+                    f"{self.path} is of another run: {what}; run without --resume to start again", about="a-checkpoint"
                 )
         return stored
 

@@ -19,9 +19,9 @@ LONGEST_TEXT = 10_000  # characters of a sentence
 
 
 def fault_of(run: Run, summary: Mapping[str, Any]) -> str:
-    """A sentence on the first thing that no stored run has, or "". `summary` is the content of its summary.json.
+    """Return a sentence on the first fault of a stored run, or "". `summary` is the content of its summary.json.
 
-    Raises InputError, which is a ValueError, if its law is not one that a case can state.
+    Raises InputError, which is a ValueError, if no case can state its law.
     """
     return _of_texts(run) or _of_numbers(run, summary) or _of_case(run) or _of_units(run) or _of_tables(run)
 
@@ -29,7 +29,7 @@ def fault_of(run: Run, summary: Mapping[str, Any]) -> str:
 def _of_texts(run: Run) -> str:
     texts = [run.method, run.status, run.account, *run.cautions, *(b.allowance for b in run.bounds.values())]
     if not all(isinstance(text, str) and len(text) <= LONGEST_TEXT for text in texts):
-        return f"a text is none, or has more than {LONGEST_TEXT} characters"
+        return f"a text is not a string, or has more than {LONGEST_TEXT} characters"
     if not (isinstance(run.title, str) and len(run.title) <= LONGEST_TITLE):
         return f"title must be a string of at most {LONGEST_TITLE} characters"
     return ""

@@ -11,7 +11,7 @@ from hjprofile.problem.case import to_toml
 
 
 def fit_files(found: Calibration) -> dict[str, bytes | str]:
-    """Name -> content: the numbers, and the case with the fitted values."""
+    """Return name -> content: the numbers, and the case with the fitted values."""
     return {"fit.json": to_json(fit_report(found)), "fitted.toml": to_toml(found.case)}
 
 

@@ -24,7 +24,7 @@ INSIDE = ("vtk", "members")  # folders inside it
 _FORMS = "nc|csv|json|toml|png|svg|gif|mp4|npz|pvd|vtp|vtr"
 _HALF = re.compile(rf"\..+\.({_FORMS})\.\w{{8}}")  # as `write_whole` names them
 MEMBERS = "members/*.npz"  # they identify their runs themselves
-# what a record may list: nothing else is removed, whoever wrote the record
+# names that a record may list; no other file is ever removed
 _NAME = re.compile(rf"{re.escape(MEMBERS)}|(vtk/)?\w[\w.+-]*\.({_FORMS})")
 _ABOUT = "a-folder-of-another-case"
 
@@ -45,7 +45,7 @@ class Owner(NamedTuple):
 
 
 def owner_of(cases: Sequence[Path]) -> Owner:
-    """The owner of what is computed from these case files. Raises InputError if one cannot be read.
+    """Return the owner of results computed from these case files. Raises InputError if one cannot be read.
 
     The sections [output] and [expect] change no result.
     """
@@ -62,7 +62,7 @@ def owner_of(cases: Sequence[Path]) -> Owner:
 
 
 def owner_of_run(case: Mapping[str, Any]) -> Owner:
-    """The owner of a run that was made in Python, by its resolved case."""
+    """Return the owner of a run that was made in Python, by its resolved case."""
     return Owner((), hashlib.sha256(_stable(case)).hexdigest())
 
 
@@ -74,7 +74,7 @@ def _stable(content: Mapping[str, Any]) -> bytes:
 
 
 def _bytes_of(path: Path) -> bytes:
-    """The content of a file, or of the stored run in a result folder; nothing if there is none."""
+    """Return the content of a file, or of the stored run in a result folder; nothing if there is none."""
     with suppress(OSError, ValueError):  # the command that needs the file reports it
         return (path / "profile.nc" if path.is_dir() else path).read_bytes()
     return b""
@@ -86,7 +86,7 @@ class _Record(NamedTuple):
 
 
 def _recorded(folder: Path) -> _Record | None:
-    """The record of a folder; None if there is none, or none that can be read."""
+    """Return the record of a folder; None if there is none that can be read."""
     try:
         content = json.loads((folder / RECORD).read_text(encoding="utf-8"))
         owner = Owner(tuple(map(str, content["cases"])), str(content["fingerprint"]))
@@ -96,13 +96,13 @@ def _recorded(folder: Path) -> _Record | None:
 
 
 class ResultFolder:
-    """A folder that belongs to one case: files of another one are refused, or removed before the first is written.
+    """A folder that belongs to one case: files of another one are rejected, or removed before the first is written.
 
     Only files that the record of the folder lists are removed.
     """
 
     def __init__(self, path: str | Path, owner: Owner, replace: bool = True, keep: str = ""):
-        """`keep` is a file, or a pattern of files, that identifies its run itself and stays in any case.
+        """Prepare the folder. `keep` is a file, or a pattern of files, that identifies its run itself and always stays.
 
         Raises InputError, unless `replace`, if the folder belongs to another case file with another content.
         """
@@ -179,7 +179,7 @@ class ResultFolder:
 
 
 def add_files(result: Path, folder: Path, files: Mapping[str, bytes | str]) -> list[Path]:
-    """Write what was made from a stored run into its own folder `result`, or into another one that is no other case's.
+    """Write files made from a stored run into its own folder `result`, or into one that belongs to no other case.
 
     Raises InputError if `folder` belongs to another case.
     """

@@ -31,7 +31,7 @@ VTK_FOLDER = "vtk"
 STEPS_FILE = "vertical_steps.csv"
 PICTURES = "profile", "diagram", "factor"
 LONGEST_REASON = 200  # characters of an exception in a caution
-# what comes of a run, beside what every run writes anew
+# files made from a run, other than those that every run writes
 _OF_A_RUN = (
     "summary.json", STEPS_FILE, *(f"{name}.{form}" for name in (*PICTURES, "comparison") for form in ("png", "svg")),
     "*.gif", "*.mp4", f"{VTK_FOLDER}/*",
@@ -51,7 +51,7 @@ def write_run(
     """Write the whole result folder and return its files; those of another case or an earlier run there are removed.
 
     A helper draws the pictures while the data are written. If a picture or the VTK files cannot be made, the data are
-    complete and a UserWarning says so.
+    complete and a UserWarning is issued.
     """
     instance("run", run, Run)
     place = ResultFolder(as_path("folder", folder), owner_of_run(run.case)).open()
@@ -97,7 +97,7 @@ def write_results(
 
 
 def _drawn(run: Run, drawn: Future | None) -> tuple[dict[str, bytes | str], list[str]]:
-    """The pictures, by the helper or here, and a sentence for each that could not be drawn."""
+    """Return the pictures, by the helper or here, and a sentence for each that could not be drawn."""
     try:
         return drawn.result() if drawn else _pictures(run)
     except Exception:  # the helper is lost, or the run could not be sent to it
@@ -292,7 +292,7 @@ _OF_COLUMN: dict[str, Callable[[str], Any]] = {
 
 
 def _table(folder: Path, name: str, kind: type[_Row]) -> list[_Row]:
-    """The rows of a table; a column that is not in _OF_COLUMN holds numbers, NaN where it is empty."""
+    """Return the rows of a table; a column that is not in _OF_COLUMN holds numbers, NaN where it is empty."""
     with open(folder / name, newline="", encoding="utf-8") as stream:
         reader = csv.DictReader(stream, strict=True)
         rows = list(reader)

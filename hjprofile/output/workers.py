@@ -31,7 +31,7 @@ def drawing_helper(wanted: bool) -> Iterator[Executor | None]:
     import warnings
 
     with undone(_kill), _workers()(1, multiprocessing.get_context("fork"), _prepare, (os.getpid(),)) as helper:
-        with warnings.catch_warnings():  # Python 3.12 and later warn of other threads too, of which those here stand it
+        with warnings.catch_warnings():  # Python 3.12 and later warn of all threads, but those here are safe
             warnings.simplefilter("ignore", DeprecationWarning)
             helper.submit(int)  # so that it starts now
         yield helper
@@ -58,17 +58,17 @@ def processes(workers: int | None) -> Iterator[Executor]:
                 with suppress(RuntimeError, CancelledError, TimeoutError):  # it may be broken already, or busy
                     last = executor.submit(int)
                     executor.shutdown(wait=False, cancel_futures=True)
-                    last.exception(0.5)  # by now it has let go of what was cancelled, over which it would stumble
-                _kill()  # what they are at would only be thrown away
+                    last.exception(0.5)  # by now it has dropped the cancelled calls, which would make it fail
+                _kill()  # their results would only be discarded
                 if isinstance(error, KeyboardInterrupt):
                     raise RunError("interrupted; nothing was left half-written", "interrupted") from None
                 raise
         del executor
-        gc.collect()  # a process that leaves while it has the semaphores of a pool is complained of
+        gc.collect()  # a process that ends with the semaphores of a pool causes a warning
 
 
 def _workers() -> type[ProcessPoolExecutor]:
-    """The pool of processes whose workers heed no interrupt from their very start."""
+    """Return a pool of processes whose workers ignore interrupts from their very start."""
     from concurrent.futures import ProcessPoolExecutor
 
     if not hasattr(signal, "pthread_sigmask"):
@@ -88,7 +88,7 @@ def _workers() -> type[ProcessPoolExecutor]:
 
 @contextmanager
 def _unheard() -> Iterator[None]:
-    """Within, processes are started that inherit what is blocked; this one hears of a signal afterwards."""
+    """Block signals for the processes that start in this context; this process receives a signal afterwards."""
     heard: list[int] = []
     try:
         with answered(lambda number, _: heard.append(number)):
@@ -111,7 +111,7 @@ def _kill() -> None:
 
 def _prepare(parent: int) -> None:
     _ward(parent)
-    with suppress(Exception):  # who asks for a picture is told why there is none
+    with suppress(Exception):  # the request for a picture reports the reason
         import hjprofile.output.plots.runs  # noqa: F401
 
 

@@ -85,11 +85,13 @@ class Problem:
         self._check_units()
 
     def _check_units(self) -> None:
-        """Raises InputError if the coefficient is known in other units than the profile: its x is another place."""
+        """Raise InputError if the coefficient has other units than the profile: its x is another position."""
         units = self.profile.units
         known = self.coefficient.units if self.coefficient is not None else None
         if units and known and not units.same(known):
-            raise InputError(f"the coefficient is of a slope with {known}, and the profile has {units}; give both one")
+            raise InputError(
+                f"the coefficient is of a slope with {known}, and the profile has {units}; use the same units for both"
+            )
 
     @property
     def kept(self) -> int:
@@ -108,7 +110,7 @@ class Problem:
         return np.linspace(0.0, self.end, self.snapshots) if self.snapshots > 1 else np.array([self.end])
 
     def caution(self, left: float) -> str | None:
-        """A reason to doubt any solution on a domain that begins at `left`: it is far longer than the survey."""
+        """Return a warning if a domain that begins at `left` is far longer than the survey, else None."""
         start, units = self.profile.start(), self.profile.units
         if units is None or left >= FAR_LEFT * start:
             return None
@@ -152,7 +154,7 @@ class Problem:
         if not self.end <= MOST_REFRESHES * refresh:
             raise InputError(
                 f"refresh = {refresh:g} must be at least end / {MOST_REFRESHES:,} = "
-                f"{self.end / MOST_REFRESHES:g}; leave it out to take the factor anew in every step"
+                f"{self.end / MOST_REFRESHES:g}; leave it out to update the factor in every step"
             )
         if self.thickness or self.law.grows_linearly or self.line == "whole":
             what = (
@@ -186,7 +188,7 @@ class Problem:
 
 
 def _count_or_times(given: Any, end: float) -> int | tuple[float, ...]:
-    """A count of saved times, or the times. A time that differs from 0 or from `end` by rounding only is that time.
+    """Return a count of saved times, or the times. A time within rounding of 0 or of `end` is set to it.
 
     Raises InputError.
     """

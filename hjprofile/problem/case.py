@@ -110,7 +110,7 @@ def _is_number(text: str) -> bool:
 
 
 class _Kind(NamedTuple):
-    """What a value may be, in words, and how it is read: TypeError or ValueError for another."""
+    """The words for allowed values, and the function that reads them; it raises TypeError or ValueError for others."""
 
     words: str
     read: Callable[[Any], Any]
@@ -138,7 +138,7 @@ def _read_positive(value: Any) -> float:
 
 
 def _read_whole(value: Any) -> int:
-    str(_of_type(int)(value))  # Python writes no number of more than 4300 digits, nor could a message
+    str(_of_type(int)(value))  # Python writes no number of more than 4300 digits
     return int(value)
 
 
@@ -226,10 +226,10 @@ def _build(section: _Section, chooser: str, choices: Mapping[str, tuple[Callable
 
 
 def load_case(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Case:
-    """Reads a case file; `overrides` replaces values by dotted key, as in {"domain.cells": 500}.
+    """Read a case file; `overrides` replaces values by dotted key, as in {"domain.cells": 500}.
 
     Values may be numpy's numbers and arrays, or tuples. `path` may be the name of a case that comes with the package.
-    Raises InputError, one sentence that names file, key, value and what is allowed.
+    Raises InputError, one sentence that names file, key, value and the allowed values.
     """
     path = find_case(path)
     content = read_case(path)
@@ -243,7 +243,7 @@ def load_case(path: str | Path, overrides: Mapping[str, Any] | None = None) -> C
 
 
 def _overriding(overrides: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Key -> value as TOML could hold it. Raises InputError for what is no key of a case."""
+    """Return key -> value as TOML could hold it. Raises InputError if a key is not one of a case."""
     if not isinstance(overrides, (Mapping, type(None))):
         raise InputError(f"overrides = {shown(overrides)} must be a table of keys and values", "a-case-file")
     for key in overrides or {}:

@@ -51,7 +51,7 @@ class Coefficient:
         t, x = np.asarray(t, dtype=float), np.asarray(x, dtype=float)
         with np.errstate(all="ignore"):
             try:
-                k = np.asarray(self.function(t.copy(), x.copy()), dtype=float)  # it may write into what it is given
+                k = np.asarray(self.function(t.copy(), x.copy()), dtype=float)  # it may write into its arguments
             except Exception as error:  # whatever a user's function raises
                 raise RunError(f"the coefficient cannot be evaluated: {type(error).__name__}: {error}") from error
             k = np.array(np.broadcast_to(k, np.broadcast_shapes(t.shape, x.shape)))

@@ -1,4 +1,4 @@
-"""Erosion laws f(q): how much a unit flux of grains erodes a slope of excess q = u_x - 1.
+"""Erosion laws f(q): the erosion rate per unit grain flux of a slope of excess q = u_x - 1.
 
 Assumptions [eq:f]: f in C², f(0) = 0, f' > 0, f'' < 0, f -> -∞ as q -> -1, f(q)/q -> 0 as q -> ∞. A law with
 growth "linear" instead of the last has f' -> η0 > 0: slopes then become infinite, and the profile jumps (theory, §14).
@@ -243,7 +243,7 @@ def from_file(path: Path, function: str, file: str | None = None, growth: str | 
 
 
 def located(base: Path, file: str | Path) -> Path:
-    """The path of a file that a case names, relative to the folder `base`; ~ is the home folder."""
+    """Return the path of a file that a case names, relative to the folder `base`; ~ is the home folder."""
     path = Path(file)
     with suppress(RuntimeError):  # there is no such home
         path = path.expanduser()
@@ -272,10 +272,10 @@ class Loaded(NamedTuple):
 
 
 def load_function(path: Path, function: str) -> Loaded:
-    """The function of that name in a Python file. Running the file runs its author's code.
+    """Return the function of that name in a Python file. Running the file runs its author's code.
 
-    The bytes that are hashed are those that are run: Python's own cache of compiled files takes a file for unchanged
-    that was edited within a second.
+    The bytes that are hashed are those that are run, because Python's own cache of compiled files misses an edit
+    within a second.
     """
     require_file(path)
     spec = importlib.util.spec_from_file_location(f"hjprofile_user_{path.stem}", path)
@@ -295,12 +295,12 @@ def load_function(path: Path, function: str) -> Loaded:
 
 
 def _of_a_copy(f: Function) -> Function:
-    """f of a copy of what it is given, into which it may write."""
+    """Return f with a copy of its argument, into which it may write."""
     return lambda q: f(np.array(q, dtype=float))
 
 
 def _over_arrays(f: Function) -> Function:
-    """f if it maps arrays element by element, else a loop over it; of a copy of what it is given."""
+    """Return f if it maps arrays element by element, else a loop over it; either works on a copy of its argument."""
     probe = np.array([0.5, -0.3, 2.0])
     try:
         values = np.asarray(f(probe.copy()), dtype=float)

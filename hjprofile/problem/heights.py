@@ -6,7 +6,7 @@ import numpy as np
 
 Array = np.ndarray
 
-# What programs write where nothing was measured. Each may be a height as well, so its neighbours decide
+# Numbers that programs write for missing heights. Each may be a height as well, so its neighbours decide
 STAND_INS = -9999.0, 9999.0, -99999.0, 99999.0, -999.0, -32768.0, -32767.0, 32767.0
 HIGHEST = 1e12  # in any unit of length; larger numbers, 1e20 and ±3.4e38 among them, are no heights
 OUT_OF_LINE = 10.0  # times the steepest slope of the other rows, from the nearest of them
@@ -16,7 +16,7 @@ FLANK = 0.2  # least descent on either side of a crest, as a part of the relief
 
 
 def without_height(x: Array, height: Array) -> Array:
-    """Which rows hold no height but a stand-in for one, or a number off by orders of magnitude; x increases."""
+    """Return a mask of rows that hold a stand-in for a height, or a number off by orders of magnitude; x increases."""
     none = np.abs(height) > HIGHEST
     candidates = np.isin(height, STAND_INS)
     sound = ~(none | candidates)
@@ -30,7 +30,7 @@ def without_height(x: Array, height: Array) -> Array:
 
 
 def _out_of_line(x: Array, height: Array, at: Array, value: float) -> bool:
-    """Whether a height `value` at the places `at` is far from the others, for the steepest slope among them."""
+    """Return True if a height `value` at the positions `at` is far from the others, by their steepest slope."""
     if x.size < 2:
         return True
     steepest = np.max(np.abs(np.diff(height) / np.diff(x)))
@@ -40,7 +40,7 @@ def _out_of_line(x: Array, height: Array, at: Array, value: float) -> bool:
 
 
 def _far_off(height: Array) -> Array:
-    """Which of these heights, few of many, a gap of FAR_OFF times the relief of the others separates from them."""
+    """Return the few heights that a gap of FAR_OFF times the relief of the others separates from them."""
     order = np.argsort(height)
     if order.size < ENOUGH_ROWS:
         return order[:0]
@@ -52,13 +52,13 @@ def _far_off(height: Array) -> Array:
 
 
 def falls_on_the_whole(height: Array) -> bool:
-    """Whether heights fall from left to right; by the medians of their halves, which few wrong ones do not move."""
+    """Return True if heights fall from left to right, by the medians of their halves, which resist a few wrong ones."""
     half = (height.size + 1) // 2
     return half > 0 and bool(np.median(height[:half]) > np.median(height[-half:]))
 
 
 def crest(height: Array) -> int | None:
-    """The highest row, if the survey rises to it on the whole and falls beyond; None if its top is at an end."""
+    """Return the highest row, if the survey rises to it on the whole and falls beyond, else None."""
     top = int(np.argmax(height))
     left, right = height[:top], height[top + 1 :]
     if not (falls_on_the_whole(right) and falls_on_the_whole(left[::-1])):

@@ -1,4 +1,4 @@
-"""What tells a run from every other: its case, the files that the case names, and the package that solves it."""
+"""The identity of a run: its case, the files that the case names, and the package that solves it."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ TIMES = 9  # ... and times
 
 
 def identity(case: Case) -> dict[str, Any]:
-    """The resolved case without its title, a hash `data` of what its table does not hold, and the package's own.
+    """Return the resolved case without its title, a hash `data` of all that its table lacks, and that of the package.
 
-    Files count by their bytes. What a Python file may read in its turn is seen in its values alone: f over
+    Files count by their bytes. Data that a Python file reads are covered by sampled values only: f over
     1e-8 <= 1 + q <= 1e8, heights at the nodes, k at TIMES times and at MOST_PLACES nodes. Raises InputError for a
     Python function of no file.
     """
@@ -37,8 +37,8 @@ def identity(case: Case) -> dict[str, Any]:
             content = _content(part)
             if content is None:
                 raise InputError(
-                    f"{case.source}: the {name} is a Python function of no file, so that a checkpoint of the run could "
-                    "not be told from that of another; name the function's file in a case, or keep no checkpoints",
+                    f"{case.source}: the {name} is a Python function of no file, so that a checkpoint cannot be "
+                    "distinguished from that of another run; name its file in a case, or save no checkpoints",
                     "a-checkpoint",
                 )
             digest.update(f"{name} {content}".encode())
@@ -48,12 +48,12 @@ def identity(case: Case) -> dict[str, Any]:
 
 
 def digest_of(case: Case) -> str:
-    """A hash of `identity`."""
+    """Return a hash of `identity`."""
     return hashlib.sha256(json.dumps(identity(case), sort_keys=True).encode()).hexdigest()
 
 
 def _content(part: ErosionLaw | Profile | Coefficient) -> str | None:
-    """A hash of what the table of a part of a problem does not hold; None where that cannot be had."""
+    """Return a hash of the data that the table of a part of a problem lacks; None if they are not available."""
     match part:
         case Points():
             told = f"{part.height!r} {part.units!r}".encode()
@@ -66,7 +66,7 @@ def _content(part: ErosionLaw | Profile | Coefficient) -> str | None:
 
 
 def _samples(case: Case) -> list[bytes]:
-    """Values of the functions that are from Python files; of others the table holds everything."""
+    """Return values of the functions from Python files; other functions are fully given by the table."""
     problem, nodes = case.problem, case.grid.nodes
     law, profile, given = problem.law, problem.profile, problem.coefficient
     found = []
@@ -84,13 +84,13 @@ def _values(function: Any, *at: Any) -> bytes:
     with np.errstate(all="ignore"):
         try:
             return np.asarray(function(*at), dtype=float).tobytes()
-        except Exception as error:  # whatever a user's function raises
+        except Exception as error:  # a user's function may raise any exception
             return type(error).__name__.encode()
 
 
 @cache
 def _package() -> str:
-    """A hash of the package's own modules; the folder of cases, which an installed one has beside them, left out."""
+    """Return a hash of the package's own modules, without the folder of cases of an installed package."""
     home = Path(__file__).parent.parent
     found = (path for path in home.rglob("*.py") if path.parent.name != "cases")
     files = sorted((path.relative_to(home).as_posix(), path) for path in found)

@@ -14,7 +14,7 @@ Array = np.ndarray
 
 
 def numbers(name: str, values: Any, least: int = 1) -> Array:
-    """A read-only copy, shape (n,), n >= least. Raises InputError if they are not so many numbers in their range."""
+    """Return a read-only copy, shape (n,), n >= least. Raises InputError for fewer numbers, or any out of range."""
     array = as_numbers(values)
     if array is None:
         raise InputError(f"{name} = {shown(values)} must be a list of numbers")
@@ -28,7 +28,7 @@ def numbers(name: str, values: Any, least: int = 1) -> Array:
 
 
 def as_numbers(values: Any) -> Array | None:
-    """A copy as an array of floats, or None where something else is among them, or lists of several lengths."""
+    """Return a copy as an array of floats, or None if other types, or lists of several lengths, are among them."""
     if isinstance(values, (list, tuple)) and any(isinstance(v, (bool, np.bool_)) for v in values):
         return None
     try:

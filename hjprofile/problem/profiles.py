@@ -65,7 +65,7 @@ class Profile:
         return np.empty((0, 3))
 
     def marks(self) -> Array | None:
-        """Positions between which q varies on no shorter scale than their distance; None where that is not known."""
+        """Positions between which q varies on no shorter scale than their distance; None if unknown."""
 
     def q_means(self, grid: Grid, law: ErosionLaw) -> Array:
         """Exact cell means of q, shape (cells,)."""
@@ -379,7 +379,7 @@ class Given(Profile):
     @np.errstate(all="ignore")  # in branches that the function does not use; `check` looks at the values
     def W(self, x: Array, law: ErosionLaw) -> Array:
         try:
-            u = np.asarray(self.u(x.copy()), dtype=float)  # a function may write into what it is given
+            u = np.asarray(self.u(x.copy()), dtype=float)  # a function may write into its argument
         except Exception:  # a function of single numbers
             u = None
         if u is None or u.shape != x.shape:

@@ -1,4 +1,4 @@
-"""A hash of a Python file that a case names, and of the modules beside it that it imports."""
+"""A hash of a Python file that a case names, and of the modules in its folder that it imports."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-_imported: dict[Path, bytes] = {}  # module beside a file that was run -> its bytes when it was imported
+_imported: dict[Path, bytes] = {}  # module next to a file that was run -> its bytes when it was imported
 
 
 def content_of(path: Path, source: bytes) -> str:
-    """A hash of a file and of the modules in its folder that it imports, directly or by way of one another.
+    """Return a hash of a file and of the modules in its folder that it imports, directly or indirectly.
 
     A module among them that has changed since it was imported is forgotten, so that it is imported again.
     """
@@ -36,7 +36,7 @@ def content_of(path: Path, source: bytes) -> str:
 
 
 def _modules_beside(folder: Path, source: bytes) -> Iterator[Path]:
-    """The files in a folder that are modules which a source imports; of a package there, all its modules."""
+    """Return the files in a folder that a source imports; for a package, all its modules."""
     names: set[str] = set()
     with suppress(SyntaxError, ValueError):  # of a file that is not imported after all
         for node in ast.walk(ast.parse(source)):

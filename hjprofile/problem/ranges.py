@@ -1,4 +1,4 @@
-"""The range of each number that a user gives, and how values are read: numpy's like Python's, copied, or refused."""
+"""The range of each number that a user gives, and functions that read values of Python and numpy."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LONGEST_SHOWN = 400  # characters of a value in a message
 
 
 class Range(NamedTuple):
-    """Numbers from `least` to `most`; 0 as well if `zero`. `words` say so in a message."""
+    """Numbers from `least` to `most`; 0 as well if `zero`. `words` describe it in a message."""
 
     least: float
     most: float
@@ -27,7 +27,7 @@ class Range(NamedTuple):
     zero: bool = False
 
     def holds(self, value: Any) -> Any:
-        """Whether a number is allowed, or each of an array; NaN is not."""
+        """Return True if a number is allowed, or for each of an array; NaN is not."""
         return ((value >= self.least) & (value <= self.most)) | (self.zero & (value == 0.0))
 
 
@@ -68,7 +68,7 @@ RANGES = {  # the table of docs/cases.md is this one
 
 
 def as_number(value: Any) -> float:
-    """A number of Python's or numpy's as a float, infinite if it is too large for one; NaN for what is no number."""
+    """Return a number of Python or numpy as a float, infinite if too large; NaN if the value is no number."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
@@ -80,7 +80,7 @@ def as_number(value: Any) -> float:
 
 
 def number(name: str, value: Any, about: str = "", key: str = "") -> float:
-    """The number of that name. Raises InputError if it is none, or outside its range, that of `key` if one is given."""
+    """Return the number of that name. Raises InputError if it is none, or outside the range of `key` or `name`."""
     allowed = RANGES[key or name]
     if not allowed.holds(found := as_number(value)):
         raise InputError(f"{name} = {shown(value)} must be {allowed.words}", about)
@@ -88,7 +88,7 @@ def number(name: str, value: Any, about: str = "", key: str = "") -> float:
 
 
 def whole(name: str, value: Any, least: int, most: int | None = None) -> int:
-    """The whole number of that name. Raises InputError if it is none, less than `least` or more than `most`."""
+    """Return the whole number of that name. Raises InputError if it is none, less than `least` or more than `most`."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
     fits = isinstance(value, (int, np.integer)) and value >= least and (most is None or value <= most)
@@ -99,28 +99,28 @@ def whole(name: str, value: Any, least: int, most: int | None = None) -> int:
 
 
 def instance(name: str, value: Any, kind: type) -> None:
-    """Raises InputError if what was given under that name is of another kind."""
+    """Raise InputError if the value of that name is of another type."""
     if not isinstance(value, kind):
         raise InputError(f"{name} = {shown(value)} must be of the type {kind.__name__}")
 
 
 def as_path(name: str, value: Any) -> Path:
-    """The path of that name. Raises InputError if it is none."""
+    """Return the path of that name. Raises InputError if it is none."""
     if not isinstance(value, (str, os.PathLike)):
         raise InputError(f"{name} = {shown(value)} must be a path")
     return Path(value)
 
 
 def shown(value: Any) -> str:
-    """A value as a message shows it."""
-    with suppress(Exception):  # an integer of thousands of digits, a key of as many parts, what repr of an object does
+    """Return a value as a message shows it."""
+    with suppress(Exception):  # an integer of thousands of digits, a key of as many parts, an error in repr
         if len(text := repr(plain(value))) <= LONGEST_SHOWN and "\n" not in text:
             return text
     return "(too long to be shown)"
 
 
 def plain(value: Any) -> Any:
-    """What TOML could hold in the place of numpy's numbers and arrays, tuples and paths, in lists and tables too."""
+    """Return types of TOML for numbers and arrays of numpy, tuples and paths, in lists and tables too."""
     if isinstance(value, (np.ndarray, np.generic)):
         return value.tolist()
     if isinstance(value, (list, tuple)):
@@ -131,7 +131,7 @@ def plain(value: Any) -> Any:
 
 
 def read_only(array: Array) -> Array:
-    """The same numbers, shared, in an array that cannot be written into."""
+    """Return the same numbers, shared, in a read-only array."""
     view = array.view()
     view.flags.writeable = False
     return view

@@ -1,4 +1,4 @@
-"""The file of a stored run, read and checked: whoever reads it can rely on its arrays."""
+"""The file of a stored run, read and checked."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ ROUNDING = 1e-9  # of the largest value: the arrays of every method agree to 1e-
 
 
 def read_profile(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
-    """Name -> array of the variables in DIMENSIONS, and name -> value of the global attributes.
+    """Return name -> array of the variables in DIMENSIONS, and name -> value of the global attributes.
 
-    Raises OSError if there is no such file, and ValueError, with what is wrong, if it does not hold a run.
+    Raises OSError if there is no such file, and ValueError, with the fault, if it does not hold a run.
     """
     from scipy.io import netcdf_file
 
@@ -44,13 +44,13 @@ def read_profile(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
 
 @np.errstate(all="ignore")
 def _fault_of(arrays: dict[str, Array]) -> str:
-    """A sentence on the first thing that no stored run has, or ""."""
+    """Return a sentence on the first fault of a stored run, or ""."""
     time, x, x_cell, u, q, K = (arrays[name] for name in DIMENSIONS)
     cells = x_cell.size
     sizes = {"time": time.size, "node": cells + 1, "cell": cells}
     for name, array in arrays.items():
         if array.shape != tuple(sizes[dimension] for dimension in DIMENSIONS[name]):
-            return f"{name} has the shape {array.shape}, which does not go with the other variables"
+            return f"{name} has the shape {array.shape}, which does not match the other variables"
         if not np.all(np.isfinite(array)):
             return f"{name} holds a value that is not a finite number"
         if name != "K" and array.size and np.abs(array).max() > LARGEST:

@@ -75,7 +75,7 @@ def survey(
 
 
 def _check_that_it_rises(file: str, x: Array, height: Array, rows: Sequence[int], falls: Array, repaired: bool) -> None:
-    """Raises InputError if a survey passes a crest, has its top at the left, or falls where nothing repairs it."""
+    """Raise InputError if a survey passes a crest, has its top at the left, or falls without a repair."""
     if (top := crest(height)) is not None:
         raise InputError(
             f"file = {file!r} passes its crest in row {rows[top]} (x = {x[top]:g}), and a case is of one flank; keep "
@@ -92,7 +92,8 @@ def _check_that_it_rises(file: str, x: Array, height: Array, rows: Sequence[int]
         remedy = "this one has its top at the left, so mirror it (write -x for x, and the last row first)"
     else:
         most = np.max(np.abs(np.diff(height)[falls]))
-        remedy = f"there it is flat or falls, by {most:.6g} at most (correct it, or set repair = 'isotonic')"
+        course = f"falls there by up to {most:.6g}" if most > 0.0 else "is flat there"
+        remedy = f"this one {course} (correct it, or set repair = 'isotonic')"
     raise InputError(
         f"file = {file!r} does not rise in rows {pairs}; a survey must rise from left to right, and {remedy}",
         DOES_NOT_RISE,
@@ -100,7 +101,7 @@ def _check_that_it_rises(file: str, x: Array, height: Array, rows: Sequence[int]
 
 
 def _repaired(file: str, x: Array, height: Array, rows: Sequence[int], least: float) -> tuple[Array, str]:
-    """The nearest rising heights, and an account of it. Raises InputError where one would move too far."""
+    """Return the nearest rising heights, and an account of them. Raises InputError if one would move too far."""
     repaired = nearest_rising(x, height, least)
     moved = np.abs(repaired - height)
     far = moved > MOST_MOVED * np.ptp(repaired)
@@ -177,7 +178,7 @@ def read_survey(file: str | Path) -> tuple[Array, Array, list[int]]:
             )
             raise InputError(message, FORMAT) from None
         if not (np.isfinite(x) and np.isfinite(height)):
-            message = f"file = {str(file)!r} row {n}: {line!r} must be finite; leave out what was not measured"
+            message = f"file = {str(file)!r} row {n}: {line!r} must be finite; omit rows without a measurement"
             raise InputError(message, FORMAT)
         if values and x <= values[-1][0]:
             raise InputError(

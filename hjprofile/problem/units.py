@@ -8,7 +8,7 @@ import numpy as np
 
 from hjprofile.problem.erosion import Array
 
-SAME = 1e-9  # relative: what units may differ by and still be one
+SAME = 1e-9  # relative difference up to which units are equal
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Units:
         )
 
     def same(self, other: Units) -> bool:
-        """Whether the way back is one, to rounding, so that equal numbers are equal places and heights."""
+        """Return True if the units agree to rounding, so that equal numbers are equal positions and heights."""
         near = SAME * self.length, SAME * self.length * self.critical_slope
         return bool(
             abs(self.length - other.length) <= near[0]

@@ -188,8 +188,8 @@ class _Solver:
         ).tolist()
 
     def finish(self) -> list[KinkRecord]:
-        """The kinks at the end; events that rounding puts just behind it are noted, and end kinks."""
-        kinks, ahead = self.kinks(), copy(self)  # what follows writes over K
+        """Return the kinks at the end. Events that rounding puts just behind it are noted, and end kinks."""
+        kinks, ahead = self.kinks(), copy(self)  # the next lines overwrite K
         ahead.events = []
         with suppress(Lost):
             ahead.advance(self.end * (1.0 + LOOK * self.threshold))
@@ -341,7 +341,7 @@ def solve_characteristics(
     progress: Callable[[float], None] | None = None,
     patience: float = np.inf,
 ) -> Run:
-    """Solves by shock-fitted characteristics, with steps and panels to `tolerance`, and reads the result on a grid.
+    """Solve by shock-fitted characteristics, with steps and panels to `tolerance`, and read the result on a grid.
 
     The method is in theory, §5; the tolerance is 1e-12 by default. A second run with a coarser tolerance gives
     `error_estimate`, the error of u over the whole run. The grid is by default 2000 cells over the profile. `patience`

@@ -1,4 +1,4 @@
-"""Proof that discretised data represent the initial profile, on a sample of the profile that resolves it."""
+"""Errors of discretised data against the initial profile, on a sample of the profile that resolves it."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from hjprofile.solvers.run import Array
 
 COARSE, FINE = 64, 8192  # intervals of a sample where the profile states its scales, and where it does not
 PARTS = 4  # of each interval between two marks of a profile
-MOST_PARTS = 64  # of an interval in which the slope changes by more than is asked for
-NEAREST = 1e-11  # least distance of two places, in the size of x: q = ΔW/Δx has an error of 1e-16/1e-11
+MOST_PARTS = 64  # of an interval in which the slope changes by more than the requested part
+NEAREST = 1e-11  # smallest distance of two positions, relative to x: q = ΔW/Δx has an error of 1e-16/1e-11
 SLOPE, FLUX = 0.1, 0.2  # largest error of q, as a part of ‖q‖₁, and of ln K
 FALL = 0.05  # largest error by an expansion shock, as a part of the range of W
 
@@ -40,11 +40,11 @@ class Resolution(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether the data represent the profile: they do not where an error is NaN."""
+        """True if the data represent the profile; false if an error is NaN."""
         return self.slope <= SLOPE and self.flux <= FLUX and self.fall <= FALL
 
     def caution(self, data: str, remedy: str) -> tuple[str, ...]:
-        """A sentence on `data` that do not represent the profile; no sentence if they do."""
+        """Return a sentence on `data` that do not represent the profile; no sentence if they do."""
         if self.holds:
             return ()
         carried = f" A steep fall that moves as a shock adds {100.0 * self.fall:.2g} % of the range of u - x."
@@ -61,7 +61,7 @@ EXACT = Resolution(0.0, 0.0, 0.0)
 def fine_sample(
     problem: Problem, left: float, right: float = 0.0, also: Array | None = None, part: float = np.inf
 ) -> Sample:
-    """A Sample of the profile on [left, right], on all its scales and with the places `also`.
+    """Return a Sample of the profile on [left, right], on all its scales and with the positions `also`.
 
     Where ln(1 + q) changes from one interval to the next by more than `part` of its range, both are divided further.
     A larger change that remains is a jump that the profile does not state.
@@ -88,14 +88,14 @@ def fine_sample(
 
 
 def log_slope(q: Array) -> Array:
-    """ln(1 + q), and 0 where that is not finite: `Problem.check` refuses such a profile."""
+    """Return ln(1 + q), and 0 where that is not finite: `Problem.check` rejects such a profile."""
     with np.errstate(all="ignore"):
         v = np.log1p(q)
     return np.where(np.isfinite(v), v, 0.0)
 
 
 def compare_data(problem: Problem, sample: Sample, W: Array, ln_K: Array, falls: Array | None = None) -> Resolution:
-    """The errors of discretised data with W and ln K at the places of the sample.
+    """Return the errors of discretised data with W and ln K at the positions of the sample.
 
     `falls`, shape (3, fronts), holds q⁻ > q⁺ and K of falls that one front carries. In a fan of the width
     w = K (f'(q⁺) - f'(q⁻)) t, at most the slope's length, such a front is wrong by (q⁻ - q⁺) w/8 in W.
@@ -115,7 +115,7 @@ def compare_data(problem: Problem, sample: Sample, W: Array, ln_K: Array, falls:
 
 
 def cells_resolve(problem: Problem, grid: Grid) -> Resolution:
-    """The errors of cell means on a grid, whose W is exact at the nodes."""
+    """Return the errors of cell means on a grid, whose W is exact at the nodes."""
     profile, law = problem.profile, problem.law
     if isinstance(profile, Kinks) and grid.dx <= SLOPE * float(np.min(law.R_derivative(profile.amplitudes))):
         return EXACT  # q decays over R'(q), so that a sample, costly under most laws, shows nothing
@@ -125,19 +125,19 @@ def cells_resolve(problem: Problem, grid: Grid) -> Resolution:
 
 
 def _ln_K(problem: Problem, x: Array, q: Array) -> Array:
-    """∫_x^0 f(q) dξ at the places x, of q between them."""
+    """Return ∫_x^0 f(q) dξ at the positions x, of q between them."""
     with np.errstate(all="ignore"):  # a law that overflows makes the errors NaN, and the data do not hold
         return np.append(np.cumsum((problem.law.f(q) * np.diff(x))[::-1])[::-1], 0.0)
 
 
 def _apart(places: list[Array], left: float, right: float) -> Array:
-    """All the places on [left, right], increasing, without those that are too near the one before."""
+    """Return all positions on [left, right], increasing, without those that are too near the one before."""
     x = np.unique(np.clip(np.concatenate(places), left, right))
     return x[np.append(True, np.diff(x) > NEAREST * (1.0 + abs(left)))]
 
 
 def divided(marks: Array, parts: Array) -> Array:
-    """The marks, with the interval right of each in equal parts, shape (n - 1,)."""
+    """Return the marks, with the interval right of each divided into equal parts, shape (n - 1,)."""
     first = np.repeat(np.cumsum(parts) - parts, parts)
     length = np.diff(marks) / parts
     within = (np.arange(first.size) - first) * np.repeat(length, parts)

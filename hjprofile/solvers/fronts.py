@@ -37,7 +37,7 @@ MOST = 1_000_000  # fronts: the time for a run grows with their square
 FOLDS = 5000.0  # e-folds of K that are cut through: the time for a run grows with their square, 20 s for these
 WIDEST = 0.15  # spacing by which steps are measured, in lengths R'(0) over which q decays
 FINEST = 1 / 16  # part of the spacing below which the data do not shorten steps: it would take too long
-# What a piece may hold, so that two numbers of fronts differ wherever the data are not resolved: parts of the range of
+# Limits of a piece, so that two numbers of fronts differ wherever the data are not resolved: parts of the range of
 # ln(1 + q) and lengths in R'(0), each with the number of fronts below which they stay as they are
 CHANGE, CHANGE_FRONTS = 0.5, 32
 LENGTH, LENGTH_FRONTS = 0.4, 64
@@ -144,7 +144,7 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts,
 def _fans(
     law: ErosionLaw, breaks: Array, weak: float, cuts: Array, mean: Array, r_left: Array, r_right: Array
 ) -> dict[float, tuple[float, float, float]]:
-    """Where fans open, with q and r on the left and the fall of ln r: at downward jumps, stated ones and others.
+    """Return the positions of fans, with q and r on the left and the fall of ln r: at all downward jumps.
 
     `mean` holds q in the pieces right of the cuts. A fall of ln(1 + q) by more than `weak` from piece to piece is a
     jump that the profile does not state. One front would carry it as an expansion shock.
@@ -161,7 +161,7 @@ def _fans(
 
 
 def _cuts(problem: Problem, marks: Array, spacing: float) -> Array:
-    """Where pieces begin: at all marks, and in between as often as spacing and K ask for."""
+    """Return the left ends of pieces: all marks, and positions in between as spacing and K require."""
     law = problem.law
     cuts = divided(marks, np.maximum(np.ceil(np.diff(marks) / spacing - 1e-9).astype(int), 1))
     # K changes e-fold over a length 1/|f|, which is short where the slope is gentle
@@ -175,11 +175,11 @@ def _cuts(problem: Problem, marks: Array, spacing: float) -> Array:
 
 
 def _resolved(problem: Problem, cuts: Array, fronts: int) -> tuple[Array, float, float]:
-    """Where pieces begin once each represents its part of the profile, and the least length of a piece that was added.
+    """Return the left ends of pieces that represent the profile, and the smallest length of a piece that was added.
 
     A piece of constant I holds one ln(1 + q), which decays over the length R'(0): a piece that is too long, or in which
-    the ln(1 + q) of the profile changes too much, is divided. The third value is the largest fall of ln(1 + q) from
-    piece to piece that is then to be expected.
+    the ln(1 + q) of the profile changes too much, is divided. The third value is the largest fall of ln(1 + q) that is
+    then expected from piece to piece.
     """
     part = CHANGE * min(1.0, CHANGE_FRONTS / fronts)
     longest = LENGTH * min(1.0, LENGTH_FRONTS / fronts) * float(problem.law.R_derivative(0.0))
@@ -293,7 +293,7 @@ class _Tracker(Tracker):
 def _begin(
     problem: Problem, left: float, fronts: int, exact: bool | None = None
 ) -> tuple[Fronts, _Tracker | StepTracker, Resolution]:
-    """The problem cut into fronts, what moves them, and how well they represent the profile."""
+    """Return the problem cut into fronts, their tracker, and the errors of the data."""
     data, table = cut_into_fronts(problem, left, fronts)
     exact = data.kinks_only if exact is None else exact
     if not isinstance(table, StepLaw):
@@ -306,7 +306,7 @@ def _begin(
 def _proved(
     problem: Problem, left: float, data: Fronts, tracker: _Tracker | StepTracker
 ) -> tuple[_Tracker | StepTracker, Resolution]:
-    """The tracker, and how well what it reads before the first step represents the profile."""
+    """Return the tracker, and the errors of the data that it reads before the first step."""
     if data.kinks_only:  # the fronts are the profile
         return tracker, EXACT
     sample = fine_sample(problem, left)
@@ -343,7 +343,7 @@ def track_and_prove(
     progress: Callable[[float], None] | None = None,
     exact: bool | None = None,
 ) -> tuple[Run, Resolution]:
-    """The run of `track_fronts` on the half line, and how well its fronts represent the profile."""
+    """Return the run of `track_fronts` on the half line, and the errors of its data."""
     fronts = whole("fronts", fronts, 4, MOST)
     profile = problem.profile
     if profile.inflow:
@@ -378,7 +378,7 @@ def track_and_prove(
         if broken is not None:
             status = (
                 f"stopped before t = {target:.6g}: front tracking loses the slope near x = {grid.nodes[broken]:.6g}, "
-                "where q is too near -1 for so few fronts, or K too large to tell events apart; use the method auto "
+                "where q is too near -1 for so few fronts, or K too large to separate events; use the method auto "
                 "with a tolerance, or the method godunov"
             )
             break

@@ -25,7 +25,7 @@ from hjprofile.solvers.run import Array, Breakdown, Halt, Keeper, Monitor, State
 
 STEP_FLOOR = 1e-9  # of the run's end: more steps than this allows would take days, ...
 PATIENCE = 20_000  # ... but the first ones can be much shorter than those after them: K falls, and hollows fill
-SMALL_CFL = 0.3  # below it short time steps are of the user's choice
+SMALL_CFL = 0.3  # below it short time steps are the user's choice
 MOST_STEPS = 64  # at a time; fewer on coarse grids, so that between two states that monitors see ...
 MOST_WAY = 1 / 32  # ... nothing moves further than this part of the grid
 CLOSE_WAY = 3e-3  # ... of the grid and no further, where a monitor wants to know when something happened

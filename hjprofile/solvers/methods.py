@@ -139,8 +139,8 @@ def solve_case(case: Case, progress: Progress | None = None, strict: bool = Fals
 
     With `strict` a run on a grid stops where it breaks a bound that its method promises; any other returns with that
     as its status. A keeper keeps checkpoints of runs on a grid; others take seconds. Raises InputError if the case asks
-    for what does not go together, or for checkpoints of a Python function of no file; RunError if the run cannot
-    start, or with `auto` no method gets through.
+    for incompatible options, or for checkpoints of a Python function of no file. Raises RunError if the run cannot
+    start, or if no method gets through with `auto`.
     """
     instance("case", case, Case)
     check_method(case)
@@ -185,7 +185,7 @@ def _solve(
     problem: Problem, grid: Grid, method: str, cfl: float, progress: Progress | None,
     strict: bool = False, keeper: Keeper | None = None, refresh: float | None = None, identity: Mapping = NOBODY,
 ) -> Run:  # fmt: skip
-    """Runs a method on a grid, watched; a keeper's checkpoints are told from those of other runs by `identity`."""
+    """Run a method on a grid, watched; `identity` distinguishes a keeper's checkpoints from those of other runs."""
     cfl = number("cfl", cfl)
     scheme: Scheme = (hj if method in HJ_METHODS else conservation).scheme(problem, grid, method, refresh)
     bounds = BoundsMonitor(

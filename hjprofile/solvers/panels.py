@@ -22,7 +22,7 @@ POINTS = 16
 FAN = 0.5  # most that a panel of a fan spans in ln R
 NARROWEST = 1e-7  # panels of the data; a profile that needs narrower ones is not smooth between its corners
 TAIL = 1e-15 * POINTS**2  # rounding of the highest Chebyshev coefficients
-MISSED = 1e-11  # of W between the points of a panel: rounding, and far below what any run asks for
+MISSED = 1e-11  # of W between the points of a panel: rounding, and far below every tolerance
 TAIL_OF_DATA = 2e-14  # R near q = 0 is a polynomial, with rounding of 1e-15
 
 
@@ -238,9 +238,9 @@ def _fan(x: float, W: float, r_left: float, r_right: float) -> list:
 
 
 def _smooth(problem: Problem, x: float, end: float, ends: tuple, sample: Sample) -> list:
-    """Panels of a piece without corners, halved until their last Chebyshev coefficients are rounding.
+    """Return panels of a piece without corners, halved until their last Chebyshev coefficients are rounding.
 
-    A panel also has to give W at all places of the sample: its own points may lie on both sides of what is narrow.
+    A panel also has to give W at all positions of the sample, because a narrow bump may lie between its own points.
     """
     law, profile = problem.law, problem.profile
     W0 = float(sample.W[0])

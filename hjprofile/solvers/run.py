@@ -133,7 +133,7 @@ class Event(NamedTuple):
 
 
 def in_order(events: Sequence[Event], moment: float = 0.0) -> list[Event]:
-    """Events by time and kink. Of kinks that meet within a `moment` all merge into the one that lives on.
+    """Return events by time and kink. Kinks that meet within a `moment` all merge into the one that lives on.
 
     `moment` is the accuracy of the times: at a point where three kinks meet, rounding decides which pair is first.
     """
@@ -171,7 +171,7 @@ class Verdict(NamedTuple):
 
 @dataclass(frozen=True)
 class Run:
-    """A solution on a grid at the times that were kept. Its arrays are read-only; a copy can be written into.
+    """A solution on a grid at the saved times. Its arrays are read-only; a copy can be written into.
 
     Attributes:
         title, method: of the case.
@@ -268,11 +268,11 @@ class Run:
         return xarray.Dataset(arrays, coordinates, self.attributes)
 
     def meets(self, tolerance: float) -> bool:
-        """Whether the estimate of the error is known and at most the tolerance."""
+        """Return True if the estimate of the error is known and at most the tolerance."""
         return self.error_estimate is not None and self.error_estimate <= tolerance
 
     def judged(self, tolerance: float) -> Run:
-        """The run, not done and with a caution if its estimate of the error exceeds the tolerance, or is missing."""
+        """Return the run, not done and with a caution if its estimated error exceeds the tolerance or is missing."""
         if self.done and self.meets(tolerance):
             return self
         known = "is not known" if self.error_estimate is None else f"is about {self.error_estimate:.1g}"

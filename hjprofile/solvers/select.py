@@ -313,7 +313,7 @@ def _on_grids(search: _Search, method: str, on_grid: Callable[[Problem, Grid, st
     apart = np.inf
     while cells <= max(MOST_CELLS, 2 * grid.cells):
         fine = replace(grid, cells=cells)
-        if not cells_resolve(search.problem, fine).holds:  # they prove nothing, however little two runs differ
+        if not cells_resolve(search.problem, fine).holds:  # then a small difference of two runs proves nothing
             search.failed.append(f"{cells} cells do not resolve the profile")
             cells *= 2
             continue

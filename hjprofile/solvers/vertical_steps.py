@@ -116,7 +116,7 @@ class Tracker:
             self.events.append(Event(t, name, int(kink), int(into) if into > 0 else None, x))
 
     def least(self) -> float:
-        """The least q on the right of a front, which a grid may not see between two nodes."""
+        """The smallest q on the right of a front, which a grid may miss between two nodes."""
         raise NotImplementedError
 
     def falls(self) -> Array:
@@ -232,7 +232,7 @@ class StepTracker(Tracker):
         return True
 
     def _due(self) -> list[bool]:
-        """Which events have taken place to rounding, of which the integration does not see those just ahead of it."""
+        """Return the events that have taken place to rounding; the integration misses those just ahead of it."""
         n = self.n
         if not n:
             return [False, False, False]

@@ -162,7 +162,7 @@ class Window:
 
 
 def _with_caution(run: Run, problem: Problem) -> Run:
-    """The run with what its problem says against its domain, once, whichever solvers it has gone through."""
+    """Return the run with the caution of its problem on its domain, once, after any number of solvers."""
     caution = problem.caution(float(run.x[0]))
     return replace(run, cautions=(*run.cautions, caution)) if caution and caution not in run.cautions else run
 

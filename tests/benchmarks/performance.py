@@ -151,7 +151,7 @@ def charts() -> tuple[dict[str, list[Point]], str]:
         all_points[name] = points
         (DOCS / "figures" / f"performance_{name}.png").write_bytes(chart_picture({name: (points, reference)}))
         text.append(f"### {name}\n\n![accuracy against seconds](figures/performance_{name}.png)\n")
-        known = f", which knows u to {reference.error:.0e} and q to {reference.error_q:.0e}" if reference.error else ""
+        known = f", accurate to {reference.error:.0e} in u and {reference.error_q:.0e} in q" if reference.error else ""
         text.append(f"Against {reference.name}{known}. Seconds to ∫|q - exact q| dx, the largest of five times:\n")
         methods = dict.fromkeys(p.method for p in points)
         text.append("| method | order of ∫ abs q | 1e-2 | 1e-3 | 1e-4 |\n|---|---|---|---|---|")
@@ -296,8 +296,8 @@ shocks have formed, T2s the same to t = 0.5, still smooth. First-order methods t
 ## Against general packages
 
 PyClaw, hj_reachability and py-pde, each set up as an expert would (`tests/benchmarks/peers.py`), on {peer_cells}
-cells, and seconds to an error in ∫|q - exact q| dx at the end: how many cells that takes by the line through all errors
-of a method, what they cost by the runs on either side. Beyond the finest run (a star) cost is taken to grow like
+cells, and seconds to an error in ∫|q - exact q| dx at the end. The number of cells follows from the line through all
+errors of a method, and the cost from the runs on either side. Beyond the finest run (a star) cost is taken to grow like
 cells²:
 
 {peers}

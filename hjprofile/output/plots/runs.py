@@ -36,7 +36,7 @@ LEAST_CHANGE = 1e-9  # of the relief: what is less is rounding
 def pictures(
     run: Run, forms: Iterable[str] = ("png",), names: Iterable[str] = ("profile", "diagram", "factor")
 ) -> dict[str, bytes | str]:
-    """Name -> file of these pictures of a run, in each form: "png" or "svg"."""
+    """Return name -> file of these pictures of a run, in each form: "png" or "svg"."""
     draw = {"profile": draw_profiles, "diagram": draw_diagram, "factor": draw_factor}
     drawings = {name: draw[name](run) for name in names}
     return {f"{name}.{form}": style.encode(figure, form) for name, figure in drawings.items() for form in forms}
