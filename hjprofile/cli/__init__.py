@@ -61,7 +61,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
 
 def _own_process() -> None:
     for name in ("stdin", "stdout", "stderr"):
-        if getattr(sys, name) is None:  # closed: the next file would take its number, and get what is said
+        if getattr(sys, name) is None:  # closed: the next file would take its number, and receive the output
             setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
     leave_when_asked(_told(INTERRUPTED, "interrupted"))
     gc.disable()  # the imports would be searched for garbage again and again

@@ -30,7 +30,7 @@ REPEATS = 3
 PATIENCE = 0.3  # seconds that a run may take before finer ones of its method are left out
 SNAPSHOTS = 5  # times over which errors are taken
 INTEGRATED = 1e-12  # error of solutions integrated to 1e-13: exact fronts; closed forms, except for the rational law
-NOTHING = 1e-12  # |q| of a slope that is critical but for rounding
+NOTHING = 1e-12  # |q| of a slope that is critical to rounding
 SAFETY = 2.0  # error of a reference in q, as a multiple of its distance to a coarser run of its method
 
 

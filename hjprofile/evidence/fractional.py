@@ -44,12 +44,12 @@ class Fractional(NamedTuple):
 def fractional_steps(
     problem: Problem, grid: Grid, method: str = "conservative", refresh: Sequence[float] | None = None
 ) -> Fractional:
-    """S^Δt [eq1-Deltat] for several Δt against the same method on the same grid with its factor anew in every step.
+    """Compare S^Δt [eq1-Deltat] for several Δt with the same method and grid, with its factor updated in every step.
 
-    What is compared differs in the age of the factor, and in time steps of other lengths, on which the errors of the
-    scheme depend: for Δt of several steps that is little beside the error of the fractional step. By
-    default Δt is a fifth of the problem's end, and a half, a quarter and an eighth of that. The times compared at are
-    TIMES even ones. Raises InputError where no time passes, and RunError if a run does not reach the end.
+    The solutions differ in the age of the factor and in their time steps, on which the errors of the scheme depend.
+    For Δt of several steps that is small compared with the error of the fractional step. By default Δt is a fifth of
+    the problem's end, and a half, a quarter and an eighth of that. The solutions are compared at TIMES even times.
+    Raises InputError if no time passes, and RunError if a run does not reach the end.
     """
     instance("problem", problem, Problem)
     if not problem.end > 0.0:

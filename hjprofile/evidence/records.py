@@ -1,4 +1,4 @@
-"""What a result folder contains, each part recomputed from the others."""
+"""The parts of a result folder, each recomputed from the others."""
 
 from __future__ import annotations
 

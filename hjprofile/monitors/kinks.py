@@ -321,7 +321,7 @@ def _settle(path: _Path, end: float, dx: float) -> None:
     """Keeps a merge only where and when the other kink was: it may have merged itself, or have gone out of sight."""
     event, other = path.end, path.into
     assert event and other
-    # of kinks that meet at one point, as far as the grid can tell, all merge into the one that lives on
+    # kinks that meet at one point within the resolution of the grid all merge into the one that lives on
     while other.end and other.into and (other.end.time < event.time or abs(other.end.x - event.x) <= WIDEST * dx):
         other = other.into
     seen = np.interp(event.time, other.times, [s.x for s in other.sightings])

@@ -23,7 +23,7 @@ MOST_WORKERS = 1000  # processes of one machine
 @contextmanager
 def drawing_helper(wanted: bool) -> Iterator[Executor | None]:
     """A process that draws pictures: it loads what that takes while this one solves. None where it would not help."""
-    alone = hasattr(os, "fork") and watched()  # a fork beside other threads may hang
+    alone = hasattr(os, "fork") and watched()  # a fork with other threads may hang
     if not (wanted and alone and (os.cpu_count() or 1) > 1):
         yield None
         return

@@ -23,7 +23,7 @@ CARRY_STEPS = "telescoping", "conservative-telescoping", "conservative", "fronts
 LINES = "half", "whole"
 OFF_GRID = "fronts", "characteristics", "auto"
 LONGEST_TITLE = 500  # characters; a picture wraps them into a dozen lines
-FAR_LEFT = 4.0  # lengths of a survey that a domain may have before its left end looks like one in metres
+FAR_LEFT = 4.0  # lengths of a survey that a domain may have before its left end is taken for one in metres
 MOST_REFRESHES = 1_000_000  # of a factor that is kept for a while, in a run
 
 

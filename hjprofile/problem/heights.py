@@ -12,7 +12,7 @@ HIGHEST = 1e12  # in any unit of length; larger numbers, 1e20 and ±3.4e38 among
 OUT_OF_LINE = 10.0  # times the steepest slope of the other rows, from the nearest of them
 FAR_OFF = 1000.0  # times the relief of all other rows, for a height that is no known stand-in
 FEW, ENOUGH_ROWS = 0.1, 10  # such heights are at most this part of the rows, of so many at least
-FLANK = 0.2  # least descent on either side of a crest, as a part of the relief
+FLANK = 0.2  # smallest descent on either side of a crest, as a part of the relief
 
 
 def without_height(x: Array, height: Array) -> Array:

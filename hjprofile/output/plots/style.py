@@ -79,7 +79,7 @@ def _settings(own: Any) -> Iterator[None]:
             logger.setLevel(level)
 
 
-styled = _settings(_LETTERS)  # decorates what draws pictures of runs
+styled = _settings(_LETTERS)  # decorates functions that draw pictures of runs
 defaults = _settings({})  # ... and of studies
 
 
