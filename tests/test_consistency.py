@@ -1,6 +1,7 @@
 """The consistency test passes on sound solvers and turns red for any single fault in either form."""
 
 import inspect
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numba
@@ -147,6 +148,22 @@ def faults_of_records(method="godunov"):
 @pytest.mark.parametrize("method", ["godunov", "weno5", "characteristics"])
 def test_sound_records_pass(method):
     assert faults_of_records(method) == []
+
+
+def test_sound_records_of_a_high_order_method_with_a_refresh_interval_pass():
+    problem = replace(LEAVING[0], snapshots=5)  # K is new at three of the saved times, and frozen at the others
+    run = hj.solve_hj(problem, hj.Grid(-2.0, 400), "weno5", refresh=1.0)
+    assert [c.name for c in records(run, problem, 1.0, "") if not c.passes] == []
+
+
+def test_a_K_that_underflows_does_not_hide_faults():
+    # ln K falls to -9 * 119 = -1071, and the smallest float is exp(-745)
+    problem = hj.Problem(hj.rational(), hj.steps([-120.0, -1.0, 0.0], [-0.9, 0.5]), end=0.1, snapshots=2)
+    run = hj.solve_hj(problem, hj.Grid(-122.0, 4000), "godunov")
+    assert run.K.min() == 0.0
+    assert [c.name for c in records(run, problem, None, "") if not c.passes] == []
+    faulty = replace(run, K=run.K ** (1.0 + 1e-6))
+    assert "saved-K" in [c.name for c in records(faulty, problem, None, "") if not c.passes]
 
 
 @pytest.mark.parametrize("fault", FAULTY_RECORDS)

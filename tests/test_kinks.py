@@ -29,6 +29,14 @@ def test_one_travelling_kink():
     assert abs(leaving.time - exact.exit_time) <= 2 * 0.005 / 0.5  # two cells at the speed at which it leaves
 
 
+@pytest.mark.parametrize("end", [0.0, 1e-9])
+def test_a_kink_that_begins_beside_the_crest_has_not_left_before_it_moves(end):
+    problem = hj.Problem(hj.rational(), hj.kinks([-1.0, -0.015], [1.0, 1.0]), end=end, snapshots=2 if end else 1)
+    run = hj.solve_hj(problem, hj.Grid(-5.0, 500), "godunov")
+    assert run.events == []
+    assert [k.kink for k in run.kinks_at(-1)] == [1, 2]
+
+
 @pytest.mark.parametrize("method", ["godunov", "local-lax-friedrichs", "conservative"])
 def test_two_kinks_merge(method):
     """Against the exact paths, integrated independently until they meet."""

@@ -12,6 +12,7 @@ from hjprofile.solvers.run import Array, KinkRecord, Run
 
 EPS = float(np.finfo(float).eps)
 MIDPOINT = ("lax-friedrichs", "local-lax-friedrichs", "godunov", "telescoping", "conservative")  # rule for ln K
+UNDERFLOW = float(np.log(np.finfo(float).tiny))  # of ln K: smaller K have no full precision, or are 0
 TABLE = 1e-9  # accuracy of a tabulated law in ln K and in speeds: measured 2e-11
 QUIET = ("bounds:", "saved-")  # comparisons that are printed only if they fail
 
@@ -76,26 +77,32 @@ def _times(run: Run, problem: Problem) -> tuple[Array, Array | float]:
 def _factor(run: Run, problem: Problem, refresh: float | None) -> tuple[Array, Array | float]:
     """Return |ln K - ln K'| at the nodes, with K' by the midpoint rule, and the allowance for rounding and rules."""
     dx = float(np.ptp(run.x)) / run.cells
-    ln_K = np.log(run.K)
+    ln_K = _log(run.K)
     if problem.coefficient is not None:
         times = run.time
         if refresh:  # frozen since the last multiple, which rounding can put just behind a saved time
             times = np.minimum(refresh * np.floor(run.time / refresh * (1.0 + 1e-9) + 1e-9), run.time)
-        return np.abs(ln_K - np.log(problem.coefficient.values(times[:, None], run.x))), 1e-12
-    ln_K -= ln_K[:, -1:]  # on the whole line K is not 1 at the right end
+        return np.abs(ln_K - _log(problem.coefficient.values(times[:, None], run.x))), 1e-12
     f = problem.law.f(run.q)
-    right = np.zeros((run.time.size, 1))
-    off = np.abs(ln_K - dx * np.hstack([np.cumsum(f[:, ::-1], axis=1)[:, ::-1], right]))
     if refresh:  # K is that of the last refresh: at those times, the present one
         part = run.time / refresh
-        off = off[np.abs(part - np.round(part)) <= 1e-9 * np.maximum(part, 1.0)]
-        ln_K = ln_K[: len(off)]
+        fresh = np.abs(part - np.round(part)) <= 1e-9 * np.maximum(part, 1.0)
+        ln_K, f = ln_K[fresh], f[fresh]
+    at_right = ln_K[:, -1:]  # on the whole line K is not 1 there
+    right = np.zeros((len(f), 1))
+    integral = dx * np.hstack([np.cumsum(f[:, ::-1], axis=1)[:, ::-1], right])
+    off = np.abs(ln_K - np.maximum(at_right + integral, UNDERFLOW))
     if run.method.removeprefix("conservative-") in MIDPOINT:
         return off, TABLE * (1.0 + np.abs(ln_K).max(initial=0.0))
     # any rule with f between the values in neighbouring cells differs by at most the variation of f
     vary = np.abs(np.diff(f, axis=1, prepend=f[:, :1])) + np.abs(np.diff(f, axis=1, append=f[:, -1:]))
     inside = f[:, -1:] * 0.0 + np.abs(f[:, -1:])  # the value at x = 0 is unknown
     return off, dx * np.hstack([np.cumsum(vary[:, ::-1], axis=1)[:, ::-1], right]) + dx * inside + TABLE
+
+
+def _log(K: Array) -> Array:
+    """ln K, and UNDERFLOW where K is smaller than it can be stored."""
+    return np.log(np.maximum(K, np.finfo(float).tiny))
 
 
 def _speeds(run: Run, problem: Problem) -> tuple[Array, Array]:

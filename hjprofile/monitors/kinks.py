@@ -265,9 +265,14 @@ def _leaves(path: _Path, t: float, dx: float, speed: Speed) -> bool:
 
 
 def _leaves_at(end: float, path: _Path, dx: float, speed: Speed) -> None:
-    """Date an exit that is due within BACK cells to the end of the run, because no position is more accurate."""
+    """Date an exit that is due within BACK cells to the end of the run, because no position is more accurate.
+
+    A kink that has not moved further than that is still where it began.
+    """
     last, velocity = path.sightings[-1], speed(path.sightings[-1])
     here = last.x + velocity * (end - path.times[-1])
+    if here - path.sightings[0].x <= BACK * dx:
+        return
     if (path.end.event == "exit" if path.end else path.times[-1] == end) and -BACK * dx <= here < 0.0:
         path.end = Event(end, "exit", 0, None, 0.0)
 
