@@ -27,7 +27,7 @@ def test_sound_solvers_pass():
     checks = check_consistency(*KINK)
     assert all(c.passes for c in checks)
     names = {c.name.split(":")[0] for c in checks}
-    saved = {f"saved-{what}" for what in ("times", "q", "K", "kinks", "events", "volume")}
+    saved = {f"saved-{what}" for what in ("times", "q", "K", "kinks", "events", "outflow", "volume")}
     assert names == saved | {
         "bounds", "identity", "independence", "kinks", "budget", "characteristics", "order"
     }  # fmt: skip
@@ -156,6 +156,13 @@ def test_sound_records_of_a_high_order_method_with_a_refresh_interval_pass():
     assert [c.name for c in records(run, problem, 1.0, "") if not c.passes] == []
 
 
+def test_a_wrong_outflow_is_found():
+    problem, grid = LEAVING
+    run = hj.solve_hj(problem, grid, "godunov")
+    faulty = replace(run, outflow=1.001 * run.outflow)
+    assert [c.name for c in records(faulty, problem, None, "") if not c.passes] == ["saved-outflow"]
+
+
 def test_a_K_that_underflows_does_not_hide_faults():
     # ln K falls to -9 * 119 = -1071, and the smallest float is exp(-745)
     problem = hj.Problem(hj.rational(), hj.steps([-120.0, -1.0, 0.0], [-0.9, 0.5]), end=0.1, snapshots=2)
@@ -182,6 +189,10 @@ def two_per_cent_faster(kinks):
     return [k._replace(rankine_hugoniot_speed=1.02 * k.rankine_hugoniot_speed) for k in kinks]
 
 
+def another_number(kinks):
+    return [k._replace(kink=k.kink + 5) if k.time > 1.0 else k for k in kinks]
+
+
 def half_as_late(events):
     return [e._replace(time=0.5 * e.time) for e in events]
 
@@ -189,6 +200,7 @@ def half_as_late(events):
 LEAVING = (hj.Problem(hj.rational(), hj.kinks([-1.0], [1.0]), end=2.0, snapshots=6), hj.Grid(-2.0, 2000))
 FAULTY_TABLES = {
     "Rankine-Hugoniot speeds": (KinkTracker, "result", lambda kinks, events: (two_per_cent_faster(kinks), events)),
+    "no birth": (KinkTracker, "result", lambda kinks, events: (another_number(kinks), events)),
     "an exit half as late": (KinkTracker, "result", lambda kinks, events: (kinks, half_as_late(events))),
     "a merge into nobody": (
         KinkTracker, "result", lambda kinks, events: (kinks, [e._replace(event="merge", into=7) for e in events])

@@ -293,7 +293,8 @@ def _merge(loser: _Path, winner: _Path, dx: float, speed: Speed) -> None:
         closing, velocity, now, apart, here = speeds[0] - speeds[1], speeds[1], t[-1], gap[-1], xs[1][-1]
     wait = max(apart / closing if closing * apart > 0 else 0.0, loser.times[-1] - now)  # not before both are last seen
     loser.into = winner
-    loser.end = Event(float(now + wait), "merge", 0, None, float(here + velocity * wait))
+    # the extrapolation of two kinks at the crest may lie beyond it
+    loser.end = Event(float(now + wait), "merge", 0, None, min(float(here + velocity * wait), 0.0))
 
 
 def _merge_lost(paths: list[_Path], end: float, dx: float, speed: Speed) -> None:

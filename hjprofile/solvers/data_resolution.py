@@ -47,12 +47,15 @@ class Resolution(NamedTuple):
         """Return a sentence on `data` that do not represent the profile; no sentence if they do."""
         if self.holds:
             return ()
-        carried = f" A steep fall that moves as a shock adds {100.0 * self.fall:.2g} % of the range of u - x."
-        return (
-            f"{data} do not resolve the profile at t = 0: q is wrong by {100.0 * self.slope:.3g} % of its L1 norm "
-            f"(at most {100.0 * SLOPE:g} %) and ln K by {self.flux:.3g} (at most {FLUX:g})."
-            f"{carried if self.fall > FALL else ''} Use {remedy}.",
-        )
+        faults = [
+            f"q is wrong by {100.0 * self.slope:.3g} % of its L1 norm (at most {100.0 * SLOPE:g} %)",
+            f"ln K is wrong by {self.flux:.3g} (at most {FLUX:g})",
+            f"a steep fall that moves as a shock adds {100.0 * self.fall:.2g} % of the range of u - x "
+            f"(at most {100.0 * FALL:g} %)",
+        ]
+        within = self.slope <= SLOPE, self.flux <= FLUX, self.fall <= FALL
+        named = " and ".join(fault for fault, holds in zip(faults, within, strict=True) if not holds)
+        return (f"{data} do not resolve the profile at t = 0: {named}. Use {remedy}.",)
 
 
 EXACT = Resolution(0.0, 0.0, 0.0)
