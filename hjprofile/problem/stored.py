@@ -14,6 +14,7 @@ DIMENSIONS = {
     "u": ("time", "node"), "q": ("time", "cell"), "K": ("time", "node"),
 }  # fmt: skip
 LARGEST = 1e100  # of an absolute value but K's: differences and squares of such numbers are finite
+LARGEST_K = 1e300  # a run in which K spans more decades cannot start
 FEWEST_CELLS = 4
 ROUNDING = 1e-9  # of the largest value: the arrays of every method agree to 1e-15
 
@@ -53,8 +54,9 @@ def _fault_of(arrays: dict[str, Array]) -> str:
             return f"{name} has the shape {array.shape}, which does not match the other variables"
         if not np.all(np.isfinite(array)):
             return f"{name} holds a value that is not a finite number"
-        if name != "K" and array.size and np.abs(array).max() > LARGEST:
-            return f"{name} holds a value beyond {LARGEST:g}"
+        largest = LARGEST_K if name == "K" else LARGEST
+        if array.size and np.abs(array).max() > largest:
+            return f"{name} holds a value beyond {largest:g}"
     if not time.size or cells < FEWEST_CELLS:
         return f"it has {time.size} saved times and {cells} cells; a run has at least 1 and {FEWEST_CELLS}"
     if time[0] < 0.0 or np.any(np.diff(time) <= 0.0):
