@@ -1,4 +1,4 @@
-"""The whole line: what must lie right of a window, and profiles moved along the line (theory, §13)."""
+"""Profiles moved along the line and stretched, and what must lie right of a window on the whole line (theory, §13)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from hjprofile.errors import InputError
 from hjprofile.problem.erosion import ErosionLaw
-from hjprofile.problem.profiles import TAIL, Bumps, Given, Kinks, Points, Profile
+from hjprofile.problem.profiles import TAIL, Bumps, Given, Kinks, Points, Profile, Steady
 
 ABOUT = "the-whole-line"  # heading of the page on errors
 
@@ -25,6 +25,23 @@ def moved(profile: Profile, distance: float) -> Profile:
         case Given():
             return replace(profile, u=lambda x: profile.u(x - distance) + distance)
     raise InputError(f"kind = {profile.table['kind']!r} belongs to the half line; line = 'whole' cannot take it", ABOUT)
+
+
+def stretched(profile: Profile, factor: float) -> Profile:
+    """Return the profile with all lengths and heights multiplied by a factor, the flux divided by it."""
+    match profile:
+        case Kinks():
+            return replace(profile, positions=profile.positions * factor)
+        case Bumps():
+            return replace(profile, centres=profile.centres * factor, widths=profile.widths * factor)
+        case Points():
+            return replace(profile, x=profile.x * factor, height=profile.height * factor)
+        case Steady():
+            kink = None if profile.kink is None else profile.kink * factor
+            return replace(profile, flux=profile.flux / factor, kink=kink)
+        case Given():
+            return replace(profile, u=lambda x: profile.u(x / factor) * factor)
+    raise InputError(f"kind = {profile.table['kind']!r} has no known lengths", ABOUT)
 
 
 def tail(profile: Profile, right: float, law: ErosionLaw) -> float:

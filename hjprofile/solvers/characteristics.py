@@ -40,9 +40,11 @@ from hjprofile.solvers.label_events import (
 )
 from hjprofile.solvers.panels import POINTS, RULE, TAIL, Panels, cut_into_panels, interpolation, tails
 from hjprofile.solvers.run import Array, Event, KinkRecord, Run, in_order
+from hjprofile.solvers.units_of_the_law import Units, in_units_of_the_law
 from hjprofile.solvers.whole_line import also_on_the_whole_line
 
 TOLERANCE = 1e-12
+LEAST = 1e-15  # error of a step, below which it is rounding
 FINEST, COARSEST = 1e-13, 1e-4  # that may be asked for: finer is rounding
 STEPS = 1e-7  # coarsest tolerance of the steps: coarser ones save nothing, and at 1e-4 they can miss a birth
 COARSER, COARSE_STEPS = 100.0, 1e-6  # ratio of the tolerances of the two runs for the estimate; the second's most
@@ -79,7 +81,10 @@ class _Solver:
     """Characteristics on their way."""
 
     def __init__(self, problem: Problem, panels: Panels, table: LawTable, tolerance: float, patience: float):
-        self.table, self.tolerance, self.end, self.patience = table, tolerance, float(problem.end), patience
+        self.table, self.requested, self.end, self.patience = table, tolerance, float(problem.end), patience
+        # births need X_ξ and q, so that errors have to be small against the narrowest panel and the largest q
+        narrowest, largest = float(panels.mesh.half.min()), float(np.abs(panels.r - problem.law.R(0.0)).max())
+        self.tolerance = max(tolerance * min(1.0, narrowest) * min(1.0, largest), LEAST)
         self.now = _Stretch(panels, 0.0, np.nan)
         self.r0 = float(problem.law.R(0.0))
         self.h = 0.01 * max(problem.end, 1e-300)
@@ -276,7 +281,8 @@ class _Solver:
             cut = p + at_right  # the panel that will begin the new segment
         else:
             panels, cut = with_joint_at(panels, p, s)
-        x = float(panels.X[cut - 1, -1] if cut > 0 else panels.X[cut, 0])
+            mesh = panels.mesh
+        x = float(mesh.base[cut - 1] + panels.X[cut - 1, -1] if cut > 0 else mesh.base[cut] + panels.X[cut, 0])
         self.now = replace(self.now, panels=panels)
         self._room()
         rate = self._rates(panels)[panels.r.size : 2 * panels.r.size].reshape(panels.r.shape)
@@ -356,22 +362,30 @@ def solve_characteristics(
         raise InputError("characteristics need q = 0 at the left end; this profile has a flux that enters there")
     grid = problem.grid() if grid is None else grid
     problem.check(grid, "characteristics")
+    steps = float(np.clip(tolerance / Units.of(problem.law).length, FINEST, STEPS))
+    run = _two_runs(problem, grid, steps, progress, patience)
+    return replace(run, case=resolved_case(problem, grid, "characteristics", tolerance=asked))
+
+
+@in_units_of_the_law
+def _two_runs(
+    problem: Problem, grid: Grid, steps: float, progress: Callable[[float], None] | None, patience: float
+) -> Run:
+    """Return a run with a tolerance of its steps, and its error by comparison with a coarser one."""
     try:
         panels = cut_into_panels(problem, grid.left)
     except RunError as error:
         raise RunError(f"stopped at t = 0: {error}; use the method fronts") from None
     table = _table(problem, panels)
-    steps = min(tolerance, STEPS)
     first = _Solver(problem, panels, table, min(COARSER * steps, COARSE_STEPS), patience)
     coarse, W_coarse = _march(first, problem, grid)
     fine, W = _march(_Solver(problem, panels, table, steps, first.patience), problem, grid, progress)
     if not len(W):
         raise RunError(fine.status)
-    apart = float(np.abs(W_coarse[: len(W)] - W).max()) if len(W) <= len(W_coarse) else COARSER * tolerance
+    apart = float(np.abs(W_coarse[: len(W)] - W).max()) if len(W) <= len(W_coarse) else COARSER * steps
     rounding = 10.0 * ROUNDING * (1.0 + float(np.abs(W).max()))
     return replace(
         fine,
-        case=resolved_case(problem, grid, "characteristics", tolerance=asked),
         wall_seconds=fine.wall_seconds + coarse.wall_seconds,
         error_estimate=max(2.0 * apart, 10.0 * fine.volume_budget_error) + rounding,
     )
@@ -382,10 +396,11 @@ def _march(
 ) -> tuple[Run, Array]:
     """Through all saved times, or as far as the method gets; and W from the left end on, with less rounding than u."""
     start, profile = solver.now.panels, problem.profile
-    mass = float(profile.W(np.zeros(1), problem.law)[0] - profile.W(start.X[:1, 0], problem.law)[0])
+    ends = np.array([start.mesh.base[0] + start.X[0, 0], 0.0])
+    mass = float(np.diff(profile.W(ends, problem.law))[0])
     volume = start.volume()
     # a step may add its tolerance, a panel its own, and the grid reads u to rounding
-    room = BUDGET * (solver.tolerance + ROUNDING) * (1.0 + abs(volume) + float(np.ptp(start.mesh.I)))
+    room = BUDGET * (solver.requested + ROUNDING) * (1.0 + abs(volume) + float(np.ptp(start.mesh.I)))
     read = room + 4.0 * ROUNDING / grid.dx
     allowed = {n: (room if n == "volume_budget" else read, "the tolerance") for n in BOUNDS}
     # the least r lies a little below the least found on so many points, by less than that below the least on few

@@ -30,6 +30,7 @@ from hjprofile.solvers.kernels.law import LawTable, law_q_f, start_pieces
 from hjprofile.solvers.kernels.steps import StepLaw
 from hjprofile.solvers.kernels.steps import start_pieces as start_steep_pieces
 from hjprofile.solvers.run import Array, Run, VerticalStep, in_order
+from hjprofile.solvers.units_of_the_law import in_units_of_the_law
 from hjprofile.solvers.vertical_steps import REACH, WEAK, StepTracker, Tracker, step_law
 from hjprofile.solvers.whole_line import also_on_the_whole_line
 
@@ -333,7 +334,18 @@ def track_fronts(
     the left end, and RunError if fronts lose the slope before the first saved time. Where q comes so near to -1 later
     that a piece is no longer resolved, `status` says so and the last saved time is the last good one.
     """
-    return track_and_prove(problem, problem.grid() if grid is None else grid, fronts, progress, exact)[0]
+    grid = problem.grid() if grid is None else grid
+    if problem.profile.inflow:
+        raise InputError("front tracking needs q = 0 at the left end; this profile has a flux that enters there")
+    problem.check(grid, "fronts")
+    return _in_units(problem, grid, whole("fronts", fronts, 4, MOST), progress, exact)
+
+
+@in_units_of_the_law
+def _in_units(
+    problem: Problem, grid: Grid, fronts: int, progress: Callable[[float], None] | None, exact: bool | None
+) -> Run:
+    return track_and_prove(problem, grid, fronts, progress, exact)[0]
 
 
 def track_and_prove(
@@ -343,12 +355,8 @@ def track_and_prove(
     progress: Callable[[float], None] | None = None,
     exact: bool | None = None,
 ) -> tuple[Run, Resolution]:
-    """Return the run of `track_fronts` on the half line, and the errors of its data."""
-    fronts = whole("fronts", fronts, 4, MOST)
+    """Return the run of `track_fronts` on the half line and in units of the law, and the errors of its data."""
     profile = problem.profile
-    if profile.inflow:
-        raise InputError("front tracking needs q = 0 at the left end; this profile has a flux that enters there")
-    problem.check(grid, "fronts")
     data, tracker, resolution = _begin(problem, grid.left, fronts, exact)
     height = float(profile.W(grid.nodes[:1], problem.law)[0])
 

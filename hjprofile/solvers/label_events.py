@@ -44,7 +44,7 @@ def signs(panels: Panels, threshold: float, only: Sequence[Sign] | None = None) 
         found["right", k] = to_joint(mesh, first[k + 1], first[k + 2] - 1, 1) - panels.off[k, 1]
     if M:
         p, s = kernels.after_start(panels.off[-1, 1], M, mesh)
-        found["exit", M - 1] = -float((interpolation(np.array([s])) @ panels.X[p])[0])
+        found["exit", M - 1] = -float(mesh.base[p] + (interpolation(np.array([s])) @ panels.X[p])[0])
     found["top", 0] = to_joint(mesh, len(panels.r) - 1, first[M], -1) - panels.off_top[0]
     return found
 
@@ -82,9 +82,9 @@ def folds(panels: Panels) -> tuple[Array, Array]:
 
 
 def place(panels: Panels, k: int) -> float:
-    """Where shock k is."""
+    """Return the position of shock k."""
     p, s = kernels.after_start(panels.off[k, 1], k + 1, panels.mesh)
-    return float((interpolation(np.array([s])) @ panels.X[p])[0])
+    return float(panels.mesh.base[p] + (interpolation(np.array([s])) @ panels.X[p])[0])
 
 
 def merged(panels: Panels, k: int) -> Panels:
@@ -160,6 +160,7 @@ def _shift_joint(panels: Panels, p: int, s: float) -> Panels:
         here, there = interpolation(at / a), interpolation((at - a - b) / b)
         for field, before, after in pairs:
             field[q] = np.where(at <= a, here @ before, there @ after)
+        X[q] += np.where(at <= a, mesh.base[p], mesh.base[p + 1]) - mesh.base[q]
     return replace(panels, r=r, X=X, mesh=mesh._replace(I=I, dI=slope * half[:, None], half=half))
 
 

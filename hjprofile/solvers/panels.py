@@ -23,6 +23,7 @@ FAN = 0.5  # most that a panel of a fan spans in ln R
 NARROWEST = 1e-7  # panels of the data; a profile that needs narrower ones is not smooth between its corners
 TAIL = 1e-15 * POINTS**2  # rounding of the highest Chebyshev coefficients
 MISSED = 1e-11  # of W between the points of a panel: rounding, and far below every tolerance
+MOST_DEAD, MARGIN = 0.0, 0.02  # local place up to which labels may be dead at one end of a panel; what is left of them
 TAIL_OF_DATA = 2e-14  # R near q = 0 is a polynomial, with rounding of 1e-15
 
 
@@ -69,7 +70,7 @@ class Panels:
     """The state of a solution by characteristics; conventions of `kernels.labels`.
 
     Attributes:
-        r, X: shape (panels, points).
+        r, X: shape (panels, points); X is measured from the panel's base.
         mesh: what is frozen.
         off, birth, power, tau: of the shocks, (shocks, 2) and (shocks,), see `rates`.
         number: of the shocks, for life.
@@ -143,10 +144,12 @@ class Panels:
             return np.array([old[p] if (a, b) == (-1, 1) else E[a, b] @ old[p] for p, a, b in pieces])
 
         part = np.array([0.5 * (b - a) for _, a, b in pieces])
-        joined = np.array([self.mesh.joined[p] if a == -1 else True for p, a, _ in pieces], dtype=np.bool_)
+        joined = self.mesh.joined[source]
+        joined[1:] |= np.diff(source) == 0
         mesh = Mesh(
-            values(self.mesh.I), values(self.mesh.dI) * part[:, None], self.mesh.half[source] * part, joined, first
-        )
+            values(self.mesh.I), values(self.mesh.dI) * part[:, None], self.mesh.half[source] * part,
+            self.mesh.base[source], joined, first,
+        )  # fmt: skip
         return replace(self, r=values(self.r), X=values(self.X), mesh=mesh)
 
     def split(self, where: dict[int, float]) -> Panels:
@@ -165,7 +168,7 @@ class Panels:
         """The panels for which `keep` is true, in the same segments."""
         m = self.mesh
         first = np.append(0, np.cumsum(keep))[m.first]
-        mesh = Mesh(m.I[keep], m.dI[keep], m.half[keep], m.joined[keep], first)
+        mesh = Mesh(m.I[keep], m.dI[keep], m.half[keep], m.base[keep], m.joined[keep], first)
         return replace(self, r=self.r[keep], X=self.X[keep], mesh=mesh)
 
     def trimmed(self) -> Panels:
@@ -189,9 +192,30 @@ class Panels:
         last = before_end(off_top[0], self.shocks, m)[0]
         keep[last + 1 :] = False
         off_top[0] -= 2.0 * m.half[last + 1 :].sum()
-        if keep.all():
+        rest = self
+        if not keep.all():
+            rest = replace(self.kept(keep), off=np.maximum(off, 0.0), power=power, off_top=off_top)
+        return rest._cropped()
+
+    def _cropped(self) -> Panels:
+        """Return panels without dead parts of more than half of one, which can diverge and would set the step."""
+        if not len(self.r):
             return self
-        return replace(self.kept(keep), off=np.maximum(off, 0.0), power=power, off_top=off_top)
+        low, high = self.living()
+        a, b = (np.where(low > MOST_DEAD, low - MARGIN, -1.0), np.where(high < -MOST_DEAD, high + MARGIN, 1.0))
+        if np.all((a == -1.0) & (b == 1.0)):
+            return self
+        off, power, off_top = self.off.copy(), self.power.copy(), self.off_top.copy()
+        half, first = self.mesh.half, self.mesh.first
+        for k in range(self.shocks):
+            after, before = first[k + 1], first[k + 1] - 1
+            off[k, 1] -= (a[after] + 1.0) * half[after]
+            off[k, 0] -= (1.0 - b[before]) * half[before] if first[k] < first[k + 1] else 0.0
+            if a[after] > -1.0 or (first[k] < first[k + 1] and b[before] < 1.0):
+                power[k] = 0.0
+        off_top[0] -= (1.0 - b[-1]) * half[-1]
+        rest = self.resampled([(p, float(a[p]), float(b[p])) for p in range(len(self.r))], first)
+        return replace(rest, off=off, power=power, off_top=off_top)
 
 
 def cut_into_panels(problem: Problem, left: float) -> Panels:
@@ -206,7 +230,7 @@ def cut_into_panels(problem: Problem, left: float) -> Panels:
     marks = np.unique(np.concatenate([[start], breaks[:, 0], [0.0]]))
     at = dict(zip(breaks[:, 0].tolist(), breaks[:, 1:].tolist(), strict=True))
     sample = fine_sample(problem, start)
-    columns: list[tuple[Array, Array, Array, Array, float, bool]] = []  # r, X, I, dI, half, joined
+    columns: list[tuple[Array, Array, Array, Array, float, float, bool]] = []  # r, X, I, dI, half, base, joined
     first = [0]
     for x, end in zip(marks[:-1].tolist(), marks[1:].tolist(), strict=True):
         before, after = at.get(x, (0.0, 0.0))
@@ -218,11 +242,12 @@ def cut_into_panels(problem: Problem, left: float) -> Panels:
         ends = (after if x in at else None, at[end][0] if end in at else None)
         columns += _smooth(problem, x, end, ends, sample)
     first.append(len(columns))
-    r, X, I, dI, half, joined = (np.array(a) for a in zip(*columns, strict=True))
+    r, X, I, dI, half, base, joined = (np.array(a) for a in zip(*columns, strict=True))
     shocks = len(first) - 2
+    mesh = Mesh(I, dI, half, base, joined.astype(np.bool_), np.array(first))
     return Panels(
-        r, X, Mesh(I, dI, half, joined.astype(np.bool_), np.array(first)), np.zeros((shocks, 2)), np.zeros(shocks),
-        np.zeros((shocks, 2)), np.ones(shocks), list(range(1, shocks + 1)), np.zeros(1), np.zeros(2),
+        r, X, mesh, np.zeros((shocks, 2)), np.zeros(shocks), np.zeros((shocks, 2)), np.ones(shocks),
+        list(range(1, shocks + 1)), np.zeros(1), np.zeros(2),
     )  # fmt: skip
 
 
@@ -233,7 +258,7 @@ def _fan(x: float, W: float, r_left: float, r_right: float) -> list:
     columns = []
     for i, (a, b) in enumerate(pairwise(joints.tolist())):
         r = np.exp(0.5 * (a + b) + 0.5 * (b - a) * RULE.s)
-        columns.append((r, np.full(POINTS, x), W + r, 0.5 * (b - a) * r, 0.5 * (a - b), i > 0))
+        columns.append((r, np.zeros(POINTS), W + r, 0.5 * (b - a) * r, 0.5 * (a - b), x, i > 0))
     return columns
 
 
@@ -274,5 +299,5 @@ def _smooth(problem: Problem, x: float, end: float, ends: tuple, sample: Sample)
             todo += [(0.5 * (a + b), b), (a, 0.5 * (a + b))]
             continue
         dI[np.abs(dI) < 1e-13] = 0.0
-        columns.append((r, at, W + r, dI, half, a > x))
+        columns.append((r, half * (1.0 + RULE.s), W + r, dI, half, a, a > x))
     return columns

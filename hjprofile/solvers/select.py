@@ -22,6 +22,7 @@ from hjprofile.solvers.characteristics import FINEST, READ, TOO_LONG, solve_char
 from hjprofile.solvers.data_resolution import Resolution, cells_resolve
 from hjprofile.solvers.fronts import track_and_prove, track_fronts
 from hjprofile.solvers.run import Array, Run
+from hjprofile.solvers.units_of_the_law import Units
 from hjprofile.solvers.vertical_steps import REACH
 from hjprofile.solvers.whole_line import also_on_the_whole_line
 
@@ -51,12 +52,13 @@ COARSE_CELLS, COARSE_TIMES = 200, 10  # on which two runs are compared, at least
 
 @dataclass
 class _Search:
-    """What was tried, and what came of it."""
+    """What was tried, and what came of it, in the units of the law."""
 
     problem: Problem
     grid: Grid
     tolerance: float
     progress: Progress | None
+    units: Units
     done: list[Run] = field(default_factory=list)  # with an estimate, and `account` the reason to take it
     failed: list[str] = field(default_factory=list)
     seconds: float = 0.0
@@ -81,18 +83,17 @@ class _Search:
             return None
         return run
 
-    def result(self) -> Run:
-        """The best of what was tried. Raises RunError if nothing went to its end."""
+    def result(self, problem: Problem, grid: Grid, tolerance: float) -> Run:
+        """Return the best of what was tried, in the units of a problem. Raises RunError if nothing went to its end."""
         if not self.done:
-            raise RunError(
-                f"no method meets the tolerance {self.tolerance:g}: {'; '.join(self.failed)}; use the method godunov"
-            )
-        run = min(self.done, key=lambda run: float(run.error_estimate or 0.0))
-        account = f"{run.account}: error of u about {run.error_estimate:.1g} (tolerance {self.tolerance:g}), "
-        account += f"{self.seconds:.2g} s"
-        case = resolved_case(self.problem, self.grid, "auto", tolerance=self.tolerance)
-        account = "\n".join(filter(None, (self.problem.profile.account, account)))
-        return replace(run, case=case, account=account, wall_seconds=self.seconds).judged(self.tolerance)
+            failed = self.units.sentence("; ".join(self.failed))
+            raise RunError(f"no method meets the tolerance {tolerance:g}: {failed}; use the method godunov")
+        best = min(self.done, key=lambda run: float(run.error_estimate or 0.0))
+        run, reason = self.units.run(best, problem, grid), self.units.sentence(best.account)
+        account = f"{reason}: error of u about {run.error_estimate:.1g} (tolerance {tolerance:g}), {self.seconds:.2g} s"
+        case = resolved_case(problem, grid, "auto", tolerance=tolerance)
+        account = "\n".join(filter(None, (problem.profile.account, account)))
+        return replace(run, case=case, account=account, wall_seconds=self.seconds).judged(tolerance)
 
 
 @also_on_the_whole_line
@@ -107,13 +108,19 @@ def least_work(
 
     `on_grid` solves with a method on a grid. Raises RunError if nothing goes to its end.
     """
-    search = _Search(problem, grid, tolerance, progress)
+    units = Units.of(problem.law)
+
+    def on_scaled_grid(_: Problem, scaled: Grid, method: str) -> Run:
+        fine = replace(grid, cells=scaled.cells)
+        return units.inverse.run(on_grid(problem, fine, method), units.problem(problem), scaled)
+
+    search = _Search(units.problem(problem), units.grid(grid), tolerance / units.length, progress, units)
     met = _closed_form(search) or (not problem.profile.inflow and _fronts_or_characteristics(search))
     if not (met or search.done):
         for method in ("conservative", "godunov"):
-            if _on_grids(search, method, on_grid):
+            if _on_grids(search, method, on_scaled_grid):
                 break
-    return search.result()
+    return search.result(problem, grid, tolerance)
 
 
 def _closed_form(search: _Search) -> bool:

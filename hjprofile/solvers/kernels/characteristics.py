@@ -68,10 +68,12 @@ def rates(y, t, mesh, rule, law, off, off_top, birth, power, tau, S, c, unborn, 
         if not abs(s) <= BEYOND:
             return -1
         top_r, top_X, _, slope = at_label(p, s, r, X, mesh, rule, w)
-        if abs(top_X) <= CLOSE or not slope > 0.0:
+        rounding = max(1.0, abs(top_X))
+        top_X += mesh.base[p]
+        if abs(top_X) <= CLOSE * rounding or not slope > 0.0:
             break
         at += top_X * mesh.half[p] / slope
-    if not abs(top_X) <= NOISE:
+    if not abs(top_X) <= NOISE * rounding:
         return -1
     off_top[0] = at
     c[shocks] = -math.log(top_r) - dot(w, S, p)
@@ -137,9 +139,9 @@ def read(y, mesh, rule, low, high, S, c, nodes, W_out, K_out):
     p = 0
     for p in range(P):
         weights(rule, low[p], w)
-        left[p] = dot(w, X, p)
+        left[p] = mesh.base[p] + dot(w, X, p)
         weights(rule, high[p], w)
-        right[p] = dot(w, X, p)
+        right[p] = mesh.base[p] + dot(w, X, p)
     p = 0
     s = -1.0
     for i in range(nodes.size):
@@ -156,13 +158,14 @@ def read(y, mesh, rule, low, high, S, c, nodes, W_out, K_out):
             s = min(max(s, a), b)
             for _ in range(60):
                 _, at, _, slope = at_label(p, s, r, X, mesh, rule, w)
-                if at > x:
+                beyond = at - (x - mesh.base[p])
+                if beyond > 0.0:
                     b = s
                 else:
                     a = s
-                if abs(at - x) <= 1e-15 * max(1.0, abs(x)):
+                if abs(beyond) <= 1e-15 * max(1.0, abs(at)):
                     break
-                trial = s + (x - at) / slope if slope > 0.0 else a
+                trial = s - beyond / slope if slope > 0.0 else a
                 s = trial if a < trial < b else 0.5 * (a + b)
         weights(rule, s, w)
         value = dot(w, r, p)

@@ -1,8 +1,9 @@
 """Labels of characteristics on panels of Chebyshev points, and those that meet in a shock (theory, §5).
 
-Segments of panels lie between shocks. A shock holds the distances `off` of its two labels from the joint between its
-segments: to the left in the segment before, to the right in the segment after. They solve X⁻ = X⁺, W⁻ = W⁺. Labels
-beyond them are dead, and follow the formula of their own segment.
+The position of a label is base[p] + X, with X = 0 where its panel p begins at the start: far from x = 0 its rounding is
+then that of the way that it has gone, not of x. Segments of panels lie between shocks. A shock holds the distances
+`off` of its two labels from the joint between its segments: to the left in the segment before, to the right in the
+segment after. They solve X⁻ = X⁺, W⁻ = W⁺. Labels beyond them are dead, and follow the formula of their own segment.
 """
 
 import math
@@ -13,9 +14,10 @@ import numpy as np
 from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.law import law_derivatives
 
-CLOSE = 4e-15  # residual of X and W at which a shock's labels are found; below it Newton's step is noise
-FOUND = 1e-13  # residual at which they are as good as rounding allows, when it falls no further
-NOISE = 1e-11  # residual of X = 0 beyond which the label at the top is lost
+# Residuals of X and W, for a way X of at most 1 and as parts of a longer one
+CLOSE = 4e-15  # at which a shock's labels are found; below it Newton's step is noise
+FOUND = 1e-13  # at which they are as good as rounding allows, when it falls no further
+NOISE = 1e-11  # beyond which the label at x = 0 is lost
 BEYOND = 1.5  # how far the polynomial of a panel may be continued, in its local variable
 
 
@@ -40,6 +42,7 @@ class Mesh(NamedTuple):
     Attributes:
         I, dI: the invariant and its derivative by the local variable, shape (panels, points).
         half: half the width of a panel in the label.
+        base: the position from which X is measured.
         joined: whether fields are analytic across the left end of a panel.
         first: the first panel of each segment, and one past the last; the first segment may be empty (q = 0).
     """
@@ -47,6 +50,7 @@ class Mesh(NamedTuple):
     I: np.ndarray
     dI: np.ndarray
     half: np.ndarray
+    base: np.ndarray
     joined: np.ndarray
     first: np.ndarray
 
@@ -79,7 +83,7 @@ def dot(w, values, p):
 
 @compiled
 def at_label(p, s, r, X, mesh, rule, w):
-    """r, X, W and dX/ds at a place in panel p; leaves the weights in w."""
+    """Return r, X, W and dX/ds at a place in panel p; leave the weights in w."""
     weights(rule, s, w)
     slope = 0.0
     for i in range(w.size):
@@ -125,13 +129,13 @@ def newton_labels(k, off, r, X, mesh, rule, law, w):
     """Labels of shock k by Newton's method from `off`: with W_ξ = q X_ξ it is closed form. Returns whether found."""
     empty = mesh.first[k] == mesh.first[k + 1]
     b0, b1 = off[k, 0], off[k, 1]
-    best = 1e300
+    best, rounding = 1e300, 1.0
     for _ in range(25):
         p, s = after_start(b1, k + 1, mesh)
         if not abs(s) <= BEYOND:
             break
         r1, X1, W1, slope1 = at_label(p, s, r, X, mesh, rule, w)
-        half1 = mesh.half[p]
+        half1, base1, rounding = mesh.half[p], mesh.base[p], max(1.0, abs(X1))
         q1 = law_terms(r1, law)[2] if r1 > 0.0 else math.nan
         if empty:
             off_X, off_W, slope0, q0, half0 = 0.0, -W1, 1.0, 0.0, 1.0
@@ -142,16 +146,17 @@ def newton_labels(k, off, r, X, mesh, rule, law, w):
             r0, X0, W0, slope0 = at_label(p, s, r, X, mesh, rule, w)
             half0 = mesh.half[p]
             q0 = law_terms(r0, law)[2] if r0 > 0.0 else math.nan
-            off_X, off_W = X0 - X1, W0 - W1
+            off_X, off_W = mesh.base[p] - base1 + X0 - X1, W0 - W1
+            rounding = max(rounding, abs(X0))
         size = max(abs(off_X), abs(off_W))
         if not size < 1e300:
             break
         if size < best:
             best = size
             off[k, 0], off[k, 1] = b0, b1
-            if size <= CLOSE:
+            if size <= CLOSE * rounding:
                 return True
-        elif best <= FOUND:
+        elif best <= FOUND * rounding:
             return True
         if not q1 > q0 or slope0 <= 0.0 or slope1 <= 0.0:
             break
@@ -161,15 +166,18 @@ def newton_labels(k, off, r, X, mesh, rule, law, w):
             b0 -= min(max(move0, -0.5 * half0), 0.5 * half0)
         b1 += min(max(move1, -0.5 * half1), 0.5 * half1)
         b0, b1 = max(b0, 0.0), max(b1, 0.0)
-    return best <= FOUND
+    return best <= FOUND * rounding
 
 
 @compiled
 def beside(side, k, off, r, X, mesh, rule, w):
-    """Local place, X, W and X_ξ of the label `off` left (side = -1.0) or right (1.0) of the joint of shock k."""
+    """Return local place, X, W and X_ξ of the label `off` left (side = -1.0) or right (1.0) of the joint of shock k.
+
+    X is measured from the base of the panel right of the joint.
+    """
     p, s = before_end(off, k, mesh) if side < 0.0 else after_start(off, k + 1, mesh)
     rate, at, W, slope = at_label(p, s, r, X, mesh, rule, w)
-    return s, at, W, slope / mesh.half[p]
+    return s, mesh.base[p] - mesh.base[mesh.first[k + 1]] + at, W, slope / mesh.half[p]
 
 
 @compiled

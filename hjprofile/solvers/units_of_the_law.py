@@ -1,0 +1,148 @@
+"""Problems in units in which the erosion law has f'(0) near 1, so that no threshold of a solver has a scale of its own.
+
+If u solves the equation with the law f, then u(λx, λ²t)/λ solves it with λf; q and K stay as they are. The length λ is
+the power of 2 nearest to R(0) = 1/f'(0), so that all numbers change without rounding, and most laws have λ = 1.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import lru_cache, wraps
+from typing import Any
+
+import numpy as np
+
+from hjprofile.errors import RunError
+from hjprofile.problem import Problem
+from hjprofile.problem.case import resolved_case
+from hjprofile.problem.erosion import ErosionLaw, Function
+from hjprofile.problem.grid import Grid
+from hjprofile.problem.line import stretched
+from hjprofile.solvers.run import Run
+
+COORDINATE = re.compile(r"\b([tx]) = (-?\d[\d.]*(?:e[-+]?\d+)?)")
+
+
+@dataclass(frozen=True)
+class Units:
+    """Units of length λ and of time λ² for a problem on the half line."""
+
+    length: float
+
+    @classmethod
+    def of(cls, law: ErosionLaw) -> Units:
+        """Return the units in which R(0) lies between 1/√2 and √2."""
+        return cls(float(np.exp2(np.round(np.log2(float(law.R(0.0)))))))
+
+    @property
+    def time(self) -> float:
+        return self.length**2
+
+    @property
+    def inverse(self) -> Units:
+        """The units that undo these."""
+        return Units(1.0 / self.length)
+
+    def problem(self, problem: Problem) -> Problem:
+        """Return the problem in these units."""
+        if self.length == 1.0:
+            return problem
+        law = problem.law
+        return replace(
+            problem,
+            law=_stretched_law(law.f, law.derivative, law.closed_inverse, law.eta0, self.length),
+            profile=stretched(problem.profile, 1.0 / self.length),
+            end=problem.end / self.time,
+            snapshots=(problem.times / self.time).tolist(),
+        )
+
+    def grid(self, grid: Grid) -> Grid:
+        """Return the grid in these units."""
+        if self.length == 1.0:
+            return grid  # which may know its nodes
+        return replace(grid, left=grid.left / self.length, right=grid.right / self.length)
+
+    def sentence(self, text: str) -> str:
+        """Return a text of a solver with its times and positions in the units of the problem."""
+        if self.length == 1.0:
+            return text
+
+        def there(match: re.Match) -> str:
+            return f"{match[1]} = {float(match[2]) * (self.time if match[1] == 't' else self.length):.6g}"
+
+        return COORDINATE.sub(there, text)
+
+    @contextmanager
+    def errors(self) -> Iterator[None]:
+        """Raise errors of a solver with the times and positions of the problem."""
+        try:
+            yield
+        except RunError as error:
+            raise RunError(self.sentence(str(error))) from None
+
+    def run(self, run: Run, problem: Problem, grid: Grid) -> Run:
+        """Return a run of `self.problem(problem)` on `self.grid(grid)` as one of the problem on the grid."""
+        if self.length == 1.0:
+            return run
+        length, time = self.length, self.time
+        case = resolved_case(problem, grid, run.method)
+        at = dict(zip((problem.times / time).tolist(), problem.times.tolist(), strict=True))
+        return replace(
+            run,
+            case={**run.case, **{name: case[name] for name in ("erosion", "profile", "domain", "time")}},
+            time=problem.times[: len(run.time)],
+            x=grid.nodes,
+            x_cell=grid.centres,
+            u=run.u * length,
+            status=self.sentence(run.status),
+            step_range=(run.step_range[0] * time, run.step_range[1] * time),
+            kinks=[
+                k._replace(
+                    time=at.get(k.time, k.time * time), x=k.x * length, speed=k.speed / length,
+                    rankine_hugoniot_speed=k.rankine_hugoniot_speed / length,
+                ) for k in run.kinks
+            ],
+            events=[e._replace(time=e.time * time, x=e.x * length) for e in run.events],
+            vertical_steps=None if run.vertical_steps is None else [
+                s._replace(
+                    time=at.get(s.time, s.time * time), x=s.x * length, height=s.height * length, speed=s.speed / length
+                ) for s in run.vertical_steps
+            ],
+            bounds={n: b._replace(time=b.time * time, x=b.x * length) for n, b in run.bounds.items()},
+            eroded_volume=run.eroded_volume * length**2,
+            outflow=run.outflow * length,
+            volume_budget_error=run.volume_budget_error * length**2,
+            error_estimate=None if run.error_estimate is None else run.error_estimate * length,
+            units=problem.profile.units,
+            account=problem.profile.account,
+        )  # fmt: skip
+
+
+def in_units_of_the_law(solver: Callable[..., Run]) -> Callable[..., Run]:
+    """Return a solver for the half line, of a problem and a grid that go together, that works in `Units`."""
+
+    def solve(problem: Problem, grid: Grid, *args: Any, **kwargs: Any) -> Run:
+        units = Units.of(problem.law)
+        if units.length == 1.0:
+            return solver(problem, grid, *args, **kwargs)
+        with units.errors():
+            return units.run(solver(units.problem(problem), units.grid(grid), *args, **kwargs), problem, grid)
+
+    return wraps(solver)(solve)
+
+
+@lru_cache(maxsize=8)  # tables of a law are kept by the identity of its f
+def _stretched_law(
+    f: Function, derivative: Function, inverse: Function | None, eta0: float, length: float
+) -> ErosionLaw:
+    """Return the law λf."""
+    return ErosionLaw(
+        lambda q: length * f(q),
+        lambda q: length * derivative(q),
+        {"law": "stretched"},
+        None if inverse is None else lambda y: inverse(np.asarray(y, dtype=float) / length),
+        length * eta0,
+    )
