@@ -10,12 +10,12 @@ from numpy.polynomial import Polynomial
 from random_profiles import random_bumps, random_pieces
 
 import hjprofile as hj
-from hjprofile.solvers import characteristics
-from hjprofile.solvers.characteristics import Lost, _Solver
+from hjprofile.solvers import characteristics, label_events
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels import labels
 from hjprofile.solvers.label_events import parted
+from hjprofile.solvers.moving_labels import Lost, MovingLabels
 from hjprofile.solvers.panels import RULE, cut_into_panels, interpolation, tails
 
 LAWS = {"rational": hj.rational(), "log": hj.log(), "power": hj.power(3.0)}
@@ -189,14 +189,14 @@ def test_what_is_refused_and_what_is_told():
 
 
 def test_lost_labels_stop_the_run_with_the_last_good_state(monkeypatch):
-    advance = _Solver.advance
+    advance = MovingLabels.advance
 
     def lose(self, target):
         if target > 1.0:
             raise Lost("the labels of kink 1 cannot be told")
         advance(self, target)
 
-    monkeypatch.setattr(_Solver, "advance", lose)
+    monkeypatch.setattr(MovingLabels, "advance", lose)
     run = hj.solve_characteristics(hj.Problem(hj.rational(), T2, end=2.0, snapshots=5), GRID)
     assert not run.done and run.time.tolist() == [0.0, 0.5, 1.0]
     assert run.status.startswith("stopped at t = 1, before t = 1.5: the labels of kink 1")
@@ -214,7 +214,7 @@ def test_panels():
     values = np.exp(RULE.s)
     assert np.abs(interpolation(s) @ values - np.exp(s)).max() <= 1e-12
     assert np.abs(RULE.D @ values - values).max() <= 1e-11
-    assert np.abs(RULE.B @ values - (np.e - np.exp(RULE.s))).max() <= 1e-14
+    assert np.abs(values @ RULE.B - (np.e - np.exp(RULE.s))).max() <= 1e-14
     assert tails(values[None, :])[0] <= 1e-12 < 1e-3 < tails(np.abs(RULE.s)[None, :])[0]
     panels = cut_into_panels(hj.Problem(hj.rational(), T2, end=1.0), -11.0)
     split = panels.split({2: 0.3, 5: -0.7})
@@ -257,7 +257,8 @@ def on_labels(X_left, q_left, X_right, q_right):
         return np.array([f(at) for f, at in zip(fields, xi, strict=True)])
 
     mesh = labels.Mesh(
-        sampled(I), sampled([f.deriv() for f in I]), np.ones(len(sides)), np.zeros(len(sides), dtype=bool),
+        sampled(I), sampled([f.deriv() for f in I]), np.ones(len(sides)), np.zeros(len(sides)),
+        np.zeros(len(sides), dtype=bool),
         np.array([0, 1, 2] if X_left else [0, 0, 1]),
     )  # fmt: skip
     r, X = sampled([1.0 + q for _, _, q in sides]), sampled([X for _, X, _ in sides])
@@ -324,10 +325,10 @@ def test_the_labels_of_a_young_shock_part_as_their_asymptotics(profile, monkeypa
 
     def solver():
         panels = cut_into_panels(problem, -11.0)
-        return _Solver(problem, panels, characteristics._table(problem, panels), 1e-12, np.inf)
+        return MovingLabels(problem, panels, characteristics._table(problem, panels), 1e-12, np.inf)
 
     with monkeypatch.context() as patch:
-        patch.setattr(characteristics, "parted", noted)
+        patch.setattr(label_events, "parted", noted)
         first = solver()
         while not born:
             first.advance(first.now.t + 0.002)

@@ -13,72 +13,41 @@ from dataclasses import replace
 import numpy as np
 
 from hjprofile.solvers.kernels import labels as kernels
+from hjprofile.solvers.kernels.label_events import Fine, Signs, find_signs
 from hjprofile.solvers.panels import POINTS, RULE, Panels, interpolation
-from hjprofile.solvers.run import Array
 
-Sign = tuple[str, int]
+Event = tuple[str, int]
 
-FINE = np.cos(np.pi * np.arange(4 * POINTS, -1, -1) / (4 * POINTS))  # where the fold of X is looked for
-SLOPE_AT = interpolation(FINE) @ RULE.D
+_S = np.cos(np.pi * np.arange(4 * POINTS, -1, -1) / (4 * POINTS))
+FINE = Fine(_S, interpolation(_S) @ RULE.D, RULE.D @ RULE.D, RULE.D @ RULE.D @ RULE.D)
 SLIVER = 0.1  # part of a panel that a cut leaves to the neighbour, if fields are analytic across the joint
 
 
-def signs(panels: Panels, threshold: float, only: Sequence[Sign] | None = None) -> dict[Sign, float]:
-    """What turns negative at an event: of all events, births only where X falls by `threshold`, or of `only` these."""
-    mesh, M = panels.mesh, panels.shocks
-    first, width = mesh.first, 2.0 * mesh.half
-    found: dict[Sign, float] = {}
-    if only is None:
-        slopes = folds(panels)[0]
-        found |= {("birth", int(p)): float(slopes[p]) for p in np.flatnonzero(slopes < -threshold)}
-    elif births := [e for e in only if e[0] == "birth"]:
-        slopes = folds(panels)[0]
-        found |= {e: float(slopes[e[1]]) for e in births}
-        if len(births) == len(only):
-            return found
-    for k in range(M):
-        if k > 0:
-            found["merge", k] = width[first[k] : first[k + 1]].sum() - panels.off[k - 1, 1] - panels.off[k, 0]
-        if first[k] < first[k + 1]:
-            found["left", k] = to_joint(mesh, first[k + 1] - 1, first[k], -1) - panels.off[k, 0]
-        found["right", k] = to_joint(mesh, first[k + 1], first[k + 2] - 1, 1) - panels.off[k, 1]
-    if M:
-        p, s = kernels.after_start(panels.off[-1, 1], M, mesh)
-        found["exit", M - 1] = -float(mesh.base[p] + (interpolation(np.array([s])) @ panels.X[p])[0])
-    found["top", 0] = to_joint(mesh, len(panels.r) - 1, first[M], -1) - panels.off_top[0]
+def signs(panels: Panels) -> Signs:
+    """Return what announces events."""
+    size, shocks = len(panels.r), panels.shocks
+    found = Signs(*(np.empty(n) for n in (size, size, size, size, shocks, shocks, shocks, 2)))
+    find_signs(panels.X, panels.mesh, panels.off, panels.off_top, RULE, FINE, found)
     return found
 
 
-def to_joint(mesh: kernels.Mesh, p: int, last: int, towards: int) -> float:
-    """Width of the panels from p on up to the first joint across which fields are not analytic."""
-    total = 2.0 * mesh.half[p]
-    while p != last and mesh.joined[p if towards < 0 else p + 1]:
-        p += towards
-        total += 2.0 * mesh.half[p]
-    return float(total)
+def crossed(found: Signs, threshold: float) -> list[Event]:
+    """Return the events that have taken place; births where X falls with the label by `threshold`."""
+    events = [("birth", int(p)) for p in np.flatnonzero(found.fold < -threshold)]
+    for kind in ("merge", "left", "right"):
+        events += [(kind, int(k)) for k in np.flatnonzero(getattr(found, kind) < 0.0)]
+    events += [("exit", found.merge.size - 1)] if found.ends[0] < 0.0 else []
+    return events + ([("top", 0)] if found.ends[1] < 0.0 else [])
 
 
-def folds(panels: Panels) -> tuple[Array, Array]:
-    """The least slope of X in the label on the living part of each panel, and where it is."""
-    low, high = panels.living()
-    slopes = panels.X @ SLOPE_AT.T / panels.mesh.half[:, None]
-    slopes[(FINE[None, :] < low[:, None]) | (FINE[None, :] > high[:, None])] = np.inf
-    slopes[high <= low] = np.inf
-    at = slopes.argmin(axis=1)
-    value, where = slopes[np.arange(len(at)), at], FINE[at]
-    for p in np.flatnonzero(value < 0.02):  # the minimum between the points, by Newton's method
-        second, third = (np.linalg.matrix_power(RULE.D, n) @ panels.X[p] for n in (2, 3))
-        least = max(FINE[max(at[p] - 1, 0)], low[p])
-        most = min(FINE[min(at[p] + 1, FINE.size - 1)], high[p])
-        s = where[p]
-        for _ in range(4):
-            row = interpolation(np.array([s]))[0]
-            bend = float(row @ third)
-            s = min(max(s - float(row @ second) / bend, least), most) if bend > 0.0 else s
-        slope = float(interpolation(np.array([s]))[0] @ RULE.D @ panels.X[p] / panels.mesh.half[p])
-        if slope < value[p]:
-            where[p], value[p] = s, slope
-    return value, where
+def value(found: Signs, event: Event) -> float:
+    """Return what announces one event."""
+    kind, i = event
+    if kind == "birth":
+        return float(found.fold[i])
+    if kind in ("exit", "top"):
+        return float(found.ends[int(kind == "top")])
+    return float(getattr(found, kind)[i])
 
 
 def place(panels: Panels, k: int) -> float:

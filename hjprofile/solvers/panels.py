@@ -15,7 +15,8 @@ from numpy.polynomial import chebyshev
 from hjprofile.errors import RunError
 from hjprofile.problem import Problem
 from hjprofile.solvers.data_resolution import Sample, fine_sample
-from hjprofile.solvers.kernels.labels import Mesh, Rule, after_start, before_end
+from hjprofile.solvers.kernels.label_events import living
+from hjprofile.solvers.kernels.labels import Mesh, Rule, Shocks, after_start, before_end
 from hjprofile.solvers.run import Array
 
 POINTS = 16
@@ -36,7 +37,7 @@ def _rule() -> Rule:
     np.fill_diagonal(D, 0.0)
     np.fill_diagonal(D, -D.sum(axis=1))
     primitives = chebyshev.chebint(np.eye(POINTS), lbnd=1.0)  # of each Chebyshev polynomial, by column
-    B = -chebyshev.chebval(s, primitives).T @ _to_coefficients(s)
+    B = -_to_coefficients(s).T @ chebyshev.chebval(s, primitives)
     return Rule(s, bary, D, np.ascontiguousarray(B))
 
 
@@ -97,12 +98,16 @@ class Panels:
     def y(self) -> Array:
         return np.concatenate([self.r.ravel(), self.X.ravel(), self.totals])
 
-    def at(self, y: Array, off: Array, off_top: Array, tau: Array) -> Panels:
-        """The same panels with another state."""
+    def labels(self) -> Shocks:
+        """Return copies of what a step changes in the labels of shocks, with what it does not."""
+        return Shocks(self.off.copy(), self.birth, self.power, self.tau.copy(), self.off_top.copy())
+
+    def at(self, y: Array, shocks: Shocks) -> Panels:
+        """Return the same panels with another state."""
         size, shape = self.r.size, self.r.shape
         return replace(
             self, r=y[:size].reshape(shape), X=y[size : 2 * size].reshape(shape), totals=y[2 * size :],
-            off=off, off_top=off_top, tau=tau,
+            off=shocks.off, off_top=shocks.top, tau=shocks.tau,
         )  # fmt: skip
 
     def segment(self, p: int) -> int:
@@ -110,19 +115,9 @@ class Panels:
         return int(np.searchsorted(self.mesh.first, p, side="right")) - 1
 
     def living(self) -> tuple[Array, Array]:
-        """The local range of each panel in which labels are alive, empty (high <= low) where none is."""
-        low, high = np.full(len(self.r), -1.0), np.ones(len(self.r))
-        for k in range(self.shocks):
-            p, s = after_start(self.off[k, 1], k + 1, self.mesh)
-            low[self.mesh.first[k + 1] : p] = 1.0
-            low[p] = s
-            if self.mesh.first[k] < self.mesh.first[k + 1]:
-                p, s = before_end(self.off[k, 0], k, self.mesh)
-                high[p] = s
-                high[p + 1 : self.mesh.first[k + 1]] = -1.0
-        p, s = before_end(self.off_top[0], self.shocks, self.mesh)
-        high[p] = s
-        high[p + 1 :] = -1.0
+        """Return the local range of each panel in which labels are alive, empty (high <= low) where none is."""
+        low, high = np.empty(len(self.r)), np.empty(len(self.r))
+        living(self.mesh, self.off, self.off_top, low, high)
         return low, high
 
     def volume(self) -> float:
@@ -137,13 +132,18 @@ class Panels:
 
     def resampled(self, pieces: list[tuple[int, float, float]], first: Array) -> Panels:
         """Panels made of parts (panel, low s, high s) of these; `first` counts the new ones."""
-        source = [p for p, _, _ in pieces]
-        E = {(a, b): interpolation(0.5 * (a + b) + 0.5 * (b - a) * RULE.s) for _, a, b in pieces if (a, b) != (-1, 1)}
+        source = np.array([p for p, _, _ in pieces])
+        ends = np.array([(a, b) for _, a, b in pieces])
+        part = 0.5 * (ends[:, 1] - ends[:, 0])
+        changed = np.flatnonzero(part < 1.0)
+        E = [interpolation(0.5 * (a + b) + 0.5 * (b - a) * RULE.s) for a, b in ends[changed]]
 
         def values(old: Array) -> Array:
-            return np.array([old[p] if (a, b) == (-1, 1) else E[a, b] @ old[p] for p, a, b in pieces])
+            new = old[source]
+            for i, rows in zip(changed, E, strict=True):
+                new[i] = rows @ new[i]
+            return new
 
-        part = np.array([0.5 * (b - a) for _, a, b in pieces])
         joined = self.mesh.joined[source]
         joined[1:] |= np.diff(source) == 0
         mesh = Mesh(
@@ -172,7 +172,12 @@ class Panels:
         return replace(self, r=self.r[keep], X=self.X[keep], mesh=mesh)
 
     def trimmed(self) -> Panels:
-        """Without panels that are wholly dead."""
+        """Return panels without those that are wholly dead, and without large dead parts of others."""
+        if not len(self.r):
+            return self
+        low, high = self.living()
+        if np.all(high > low):
+            return self._cropped(low, high)
         m = self.mesh
         keep = np.ones(len(self.r), dtype=bool)
         off, power, off_top = self.off.copy(), self.power.copy(), self.off_top.copy()
@@ -192,16 +197,13 @@ class Panels:
         last = before_end(off_top[0], self.shocks, m)[0]
         keep[last + 1 :] = False
         off_top[0] -= 2.0 * m.half[last + 1 :].sum()
-        rest = self
-        if not keep.all():
-            rest = replace(self.kept(keep), off=np.maximum(off, 0.0), power=power, off_top=off_top)
-        return rest._cropped()
+        if keep.all():
+            return self._cropped(low, high)
+        rest = replace(self.kept(keep), off=np.maximum(off, 0.0), power=power, off_top=off_top)
+        return rest._cropped(*rest.living()) if len(rest.r) else rest
 
-    def _cropped(self) -> Panels:
+    def _cropped(self, low: Array, high: Array) -> Panels:
         """Return panels without dead parts of more than half of one, which can diverge and would set the step."""
-        if not len(self.r):
-            return self
-        low, high = self.living()
         a, b = (np.where(low > MOST_DEAD, low - MARGIN, -1.0), np.where(high < -MOST_DEAD, high + MARGIN, 1.0))
         if np.all((a == -1.0) & (b == 1.0)):
             return self
@@ -269,35 +271,44 @@ def _smooth(problem: Problem, x: float, end: float, ends: tuple, sample: Sample)
     """
     law, profile = problem.law, problem.profile
     W0 = float(sample.W[0])
-    columns, todo = [], [(x, end)]
-    while todo:
-        a, b = todo.pop()
+    most_missed = MISSED * float(np.ptp(sample.W)) + 1e-14
+    columns, pending = [], np.array([[x, end]])
+    while pending.size:  # all panels of one width at once
+        a, b = pending.T[:, :, None]
         half = 0.5 * (b - a)
         at = 0.5 * (a + b) + half * RULE.s
-        at[0], at[-1] = a, b
+        at[:, :1], at[:, -1:] = a, b
         W = profile.W(at, law) - W0
         stated = profile.excess(at, law)
-        q = RULE.D @ W / half if stated is None else stated
-        if a == x and ends[0] is not None:
-            q[0] = ends[0]
-        if b == end and ends[1] is not None:
-            q[-1] = ends[1]
+        q = W @ RULE.D.T / half if stated is None else stated
+        if ends[0] is not None:
+            q[pending[:, 0] == x, 0] = ends[0]
+        if ends[1] is not None:
+            q[pending[:, 1] == end, -1] = ends[1]
         r = law.R(q)
-        dI = RULE.D @ (W + r)
-        inside = slice(*np.searchsorted(sample.x, [a, b]))
-        missed = interpolation((sample.x[inside] - 0.5 * (a + b)) / half) @ W - (sample.W[inside] - W0)
-        # x is known to its rounding, and r to that times its slope, which on a panel that is too wide means nothing
-        slope = float(np.abs(RULE.D @ r).max()) / half if stated is not None else 0.0
-        noise = min(max(TAIL_OF_DATA, 2.0 * np.finfo(float).eps * max(abs(a), abs(b)) * slope), MISSED)
-        resolved = tails(np.array([r, W + r])).max() <= noise
-        if not (resolved and np.abs(missed).max(initial=0.0) <= MISSED * (1.0 + np.abs(W).max())):
-            if half < NARROWEST:
-                raise RunError(
-                    f"the profile is not smooth near x = {a:.6g}, and says of no corner there: characteristics cannot "
-                    "follow it; use the method fronts"
-                )
-            todo += [(0.5 * (a + b), b), (a, 0.5 * (a + b))]
-            continue
+        dI = (W + r) @ RULE.D.T
         dI[np.abs(dI) < 1e-13] = 0.0
-        columns.append((r, half * (1.0 + RULE.s), W + r, dI, half, a, a > x))
-    return columns
+        # x is known to its rounding, and r to that times its slope, which on a panel that is too wide means nothing
+        slope = np.abs(r @ RULE.D.T).max(axis=1) / half[:, 0] if stated is not None else np.zeros(len(r))
+        rounding = 2.0 * np.finfo(float).eps * np.abs(pending).max(axis=1)
+        noise = np.minimum(np.maximum(TAIL_OF_DATA, rounding * slope), MISSED)
+        good = np.maximum(tails(r), tails(W + r)) <= noise
+        allowed = most_missed + rounding * np.abs(q).max(axis=1)
+        for p in np.flatnonzero(good):
+            inside = slice(*np.searchsorted(sample.x, pending[p]))
+            rows = interpolation((sample.x[inside] - at[p].mean()) / half[p, 0])
+            missed = np.abs(rows @ W[p] - (sample.W[inside] - W0)).max(initial=0.0)
+            good[p] = missed <= allowed[p]
+        columns += [
+            (r[p], half[p] * (1.0 + RULE.s), W[p] + r[p], dI[p], half[p, 0], a[p, 0], a[p, 0] > x)
+            for p in np.flatnonzero(good)
+        ]
+        narrow = ~good & (half[:, 0] < NARROWEST)
+        if narrow.any():
+            raise RunError(
+                f"the profile is not smooth near x = {a[narrow][0, 0]:.6g}, and says of no corner there: "
+                "characteristics cannot follow it; use the method fronts"
+            )
+        wide, middle = pending[~good], 0.5 * pending[~good].sum(axis=1)
+        pending = np.concatenate([np.stack([wide[:, 0], middle], axis=1), np.stack([middle, wide[:, 1]], axis=1)])
+    return sorted(columns, key=lambda column: column[5])

@@ -18,9 +18,10 @@ from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Kinks
 from hjprofile.solvers import closed_forms
-from hjprofile.solvers.characteristics import FINEST, READ, TOO_LONG, solve_characteristics
+from hjprofile.solvers.characteristics import FINEST, READ, solve_characteristics
 from hjprofile.solvers.data_resolution import Resolution, cells_resolve
 from hjprofile.solvers.fronts import track_and_prove, track_fronts
+from hjprofile.solvers.moving_labels import TOO_LONG
 from hjprofile.solvers.run import Array, Run
 from hjprofile.solvers.units_of_the_law import Units
 from hjprofile.solvers.vertical_steps import REACH

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from hjprofile.solvers.kernels import compiled
-from hjprofile.solvers.kernels.dormand_prince import STAGES, state_at, step_error
+from hjprofile.solvers.kernels.dormand_prince import STAGES, interpolant, state_at, step_error
 from hjprofile.solvers.kernels.labels import (
     BEYOND,
     CLOSE,
@@ -24,50 +24,37 @@ from hjprofile.solvers.kernels.labels import (
 
 
 @compiled
-def rates(y, t, mesh, rule, law, off, off_top, birth, power, tau, S, c, unborn, out):
-    """dy/dt for y = (r, X, ∫(K_left - 1), ∫F(0)); finds the labels of shocks and of x = 0 on the way.
+def find_labels(y, t, medium, shocks, unborn):
+    """Find the labels of shocks and of x = 0 in a state; 0, or 1 + k where shock k is lost, or -1 if not admissible.
 
-    Fills S and c of ln K = ln r + S + c. For a young shock `off` scales with (t - birth)^power from its last time tau;
-    nothing else is known of one born at the time `unborn`, whose fold the state does not hold yet.
-    Returns 0, or 1 + k where the labels of shock k are lost, or -1 where a state is not admissible.
+    Nothing but its age is known of a shock born at the time `unborn`, whose fold the state does not hold yet.
     """
+    mesh, rule, law = medium.mesh, medium.rule, medium.law
     P, n = mesh.I.shape
     r, X = y[: P * n].reshape(P, n), y[P * n : 2 * P * n].reshape(P, n)
-    w = np.empty(n)
-    shocks = off.shape[0]
+    w, count = np.empty(n), shocks.off.shape[0]
     for p in range(P):
         for i in range(n):
             if not r[p, i] > 0.0:
                 return -1
-    for k in range(shocks):
-        if power[k, 1] > 0.0:
-            age = t - birth[k]
+    for k in range(count):
+        if shocks.power[k, 1] > 0.0:
+            age = t - shocks.birth[k]
             if age <= 0.0:
                 continue
             for side in range(2):
-                off[k, side] *= (age / tau[k]) ** power[k, side]
-            tau[k] = age
-            if birth[k] == unborn:
+                shocks.off[k, side] *= (age / shocks.tau[k]) ** shocks.power[k, side]
+            shocks.tau[k] = age
+            if shocks.birth[k] == unborn:
                 continue
-        if not shock_labels(k, off, r, X, mesh, rule, law, w):
+        if not shock_labels(k, shocks.off, r, X, mesh, rule, law, w):
             return 1 + k
-
-    g = np.empty(n)
-    for k in range(shocks + 1):
-        right = 0.0
-        for p in range(mesh.first[k + 1] - 1, mesh.first[k] - 1, -1):
-            for i in range(n):
-                g[i] = mesh.dI[p, i] / r[p, i]
-            for i in range(n):
-                S[p, i] = right + dot(g, rule.B, i)
-            right = S[p, 0]
-
-    at = off_top[0]
+    at, top_X, rounding = shocks.top[0], 0.0, 1.0
     for _ in range(30):  # the label at x = 0
-        p, s = before_end(at, shocks, mesh)
+        p, s = before_end(at, count, mesh)
         if not abs(s) <= BEYOND:
             return -1
-        top_r, top_X, _, slope = at_label(p, s, r, X, mesh, rule, w)
+        _, top_X, _, slope = at_label(p, s, r, X, mesh, rule, w)
         rounding = max(1.0, abs(top_X))
         top_X += mesh.base[p]
         if abs(top_X) <= CLOSE * rounding or not slope > 0.0:
@@ -75,60 +62,119 @@ def rates(y, t, mesh, rule, law, off, off_top, birth, power, tau, S, c, unborn, 
         at += top_X * mesh.half[p] / slope
     if not abs(top_X) <= NOISE * rounding:
         return -1
-    off_top[0] = at
-    c[shocks] = -math.log(top_r) - dot(w, S, p)
-    log_K = 0.0
-    for k in range(shocks - 1, -1, -1):
-        p, s = after_start(off[k, 1], k + 1, mesh)
-        weights(rule, s, w)
-        log_K = math.log(dot(w, r, p)) + dot(w, S, p) + c[k + 1]
-        if mesh.first[k] < mesh.first[k + 1]:
-            p, s = before_end(off[k, 0], k, mesh)
-            weights(rule, s, w)
-            c[k] = log_K - math.log(dot(w, r, p)) - dot(w, S, p)
-
-    for k in range(shocks + 1):
-        for p in range(mesh.first[k], mesh.first[k + 1]):
-            for i in range(n):
-                K = r[p, i] * math.exp(S[p, i] + c[k])
-                f, f1, _ = law_terms(r[p, i], law)
-                out[p * n + i] = K * f * f / (f + f1)
-                out[P * n + p * n + i] = K * f1 / (r[p, i] * (f + f1))
-    if mesh.first[0] < mesh.first[1]:
-        log_K = math.log(r[0, 0]) + S[0, 0] + c[0]
-    out[2 * P * n] = math.exp(log_K) - 1.0
-    out[2 * P * n + 1] = law_terms(top_r, law)[0]
+    shocks.top[0] = at
     return 0
 
 
 @compiled
-def step(y, clock, h, origin, tableau, mesh, rule, law, off, off_top, birth, power, tau, S, c, k, new):
-    """Fills `new` by one step h > 0 in t, or in z = sqrt(t - origin) where that is not NaN.
+def find_flux(r, medium, shocks, flux):
+    """Fill S and c of ln K = ln r + S + c, from right to left; r at x = 0 is returned."""
+    mesh, rule, S, c = medium.mesh, medium.rule, flux.S, flux.c
+    n, count = mesh.I.shape[1], shocks.off.shape[0]
+    w = np.empty(n)
+    for k in range(count + 1):
+        right = 0.0
+        for p in range(mesh.first[k + 1] - 1, mesh.first[k] - 1, -1):
+            for i in range(n):
+                S[p, i] = right
+            for j in range(n):
+                g = mesh.dI[p, j] / r[p, j]
+                for i in range(n):
+                    S[p, i] += g * rule.B[j, i]
+            right = S[p, 0]
+    p, s = before_end(shocks.top[0], count, mesh)
+    weights(rule, s, w)
+    top = dot(w, r, p)
+    c[count] = -math.log(top) - dot(w, S, p)
+    for k in range(count - 1, -1, -1):
+        p, s = after_start(shocks.off[k, 1], k + 1, mesh)
+        weights(rule, s, w)
+        log_K = math.log(dot(w, r, p)) + dot(w, S, p) + c[k + 1]
+        if mesh.first[k] < mesh.first[k + 1]:
+            p, s = before_end(shocks.off[k, 0], k, mesh)
+            weights(rule, s, w)
+            c[k] = log_K - math.log(dot(w, r, p)) - dot(w, S, p)
+        else:
+            c[k] = log_K  # of the flat slope on the left
+    return top
 
-    `k` (13, size of y) is workspace. Returns the error estimate (largest entry), and as `rates`.
+
+@compiled
+def rates(y, t, medium, shocks, flux, unborn, out):
+    """dy/dt for y = (r, X, ∫(K_left - 1), ∫F(0)); finds labels and flux on the way, and returns as `find_labels`."""
+    mesh, law = medium.mesh, medium.law
+    P, n = mesh.I.shape
+    found = find_labels(y, t, medium, shocks, unborn)
+    if found != 0:
+        return found
+    r = y[: P * n].reshape(P, n)
+    top = find_flux(r, medium, shocks, flux)
+    for k in range(shocks.off.shape[0] + 1):
+        for p in range(mesh.first[k], mesh.first[k + 1]):
+            for i in range(n):
+                K = r[p, i] * math.exp(flux.S[p, i] + flux.c[k])
+                f, f1, _ = law_terms(r[p, i], law)
+                out[p * n + i] = K * f * f / (f + f1)
+                out[P * n + p * n + i] = K * f1 / (r[p, i] * (f + f1))
+    log_K = flux.c[0]
+    if mesh.first[0] < mesh.first[1]:
+        log_K += math.log(r[0, 0]) + flux.S[0, 0]
+    out[2 * P * n] = math.exp(log_K) - 1.0
+    out[2 * P * n + 1] = law_terms(top, law)[0]
+    return 0
+
+
+@compiled
+def step(y, clock, h, origin, tableau, medium, shocks, flux, k, new):
+    """Fill `new` by one step h > 0 in t, or in z = sqrt(t - origin) where that is not NaN.
+
+    `k` (16, size of y) is workspace. Return the error estimate (largest entry), and as `rates`.
     """
-    in_root = origin == origin
     for i in range(STAGES + 1):
-        state_at(i, y, h, k, tableau, new)
-        z = clock + h * (np.sum(tableau.A[i, :i]) if i < STAGES else 1.0)
-        t = origin + z * z if in_root else z
-        # all rates by z vanish at a birth: the second stage has the state of the first, at a later time
-        unborn = origin if i == 1 and clock == 0.0 else math.nan
-        found = rates(new, t, mesh, rule, law, off, off_top, birth, power, tau, S, c, unborn, k[i])
+        found = _stage(i, y, clock, h, origin, tableau, medium, shocks, flux, k, new)
         if found != 0:
             return math.inf, found
-        if in_root:
-            for l in range(y.size):
-                k[i, l] *= 2.0 * z
     return step_error(h, k, tableau, new, 0), 0
 
 
 @compiled
-def read(y, mesh, rule, low, high, S, c, nodes, W_out, K_out):
+def within(y, clock, h, origin, tableau, medium, shocks, flux, k, new, F):
+    """Fill the coefficients F of `state_within` after a step that `step` has made; return as `rates`."""
+    state = np.empty(y.size)
+    for i in range(STAGES + 1, STAGES + 4):
+        found = _stage(i, y, clock, h, origin, tableau, medium, shocks, flux, k, state)
+        if found != 0:
+            return found
+    interpolant(y, h, k, tableau, new, F)
+    return 0
+
+
+@compiled
+def _stage(i, y, clock, h, origin, tableau, medium, shocks, flux, k, state):
+    """Fill the state and the rate of stage i; return as `rates`."""
+    in_root = origin == origin
+    state_at(i, y, h, k, tableau, state)
+    part = 1.0
+    if i != STAGES:
+        part = np.sum(tableau.A[i]) if i < STAGES else np.sum(tableau.A_more[i - STAGES - 1])
+    z = clock + h * part
+    t = origin + z * z if in_root else z
+    # all rates by z vanish at a birth: the second stage has the state of the first, at a later time
+    unborn = origin if i == 1 and clock == 0.0 else math.nan
+    found = rates(state, t, medium, shocks, flux, unborn, k[i])
+    if found == 0 and in_root:
+        for l in range(y.size):
+            k[i, l] *= 2.0 * z
+    return found
+
+
+@compiled
+def read(y, mesh, rule, low, high, flux, nodes, W_out, K_out):
     """W and K at increasing `nodes`: label by label where it is alive, low[p] <= s <= high[p], between shocks' places.
 
-    S and c as `rates` leaves them.
+    The flux as `rates` leaves it.
     """
+    S, c = flux.S, flux.c
     P, n = mesh.I.shape
     r, X = y[: P * n].reshape(P, n), y[P * n : 2 * P * n].reshape(P, n)
     w = np.empty(n)

@@ -13,15 +13,24 @@ import numpy as np
 from hjprofile.solvers.kernels import compiled
 
 STAGES = 12
+BLOCK = 1024  # entries of a state that stay in the fastest memory while rates are summed
 
 
 class Tableau(NamedTuple):
-    """The coefficients: A of the stages and B of the step by their rates, E3 and E5 of the estimates by all rates."""
+    """The coefficients by all rates.
+
+    Attributes:
+        A, B: of the stages and of the step.
+        E3, E5: of the estimates of the error.
+        A_more, D: of three more stages, and of the interpolant of order 7 that they make possible.
+    """
 
     A: np.ndarray
     B: np.ndarray
     E3: np.ndarray
     E5: np.ndarray
+    A_more: np.ndarray
+    D: np.ndarray
 
 
 @cache
@@ -29,21 +38,29 @@ def tableau() -> Tableau:
     """The coefficients, from scipy: half a second of imports, which runs on a grid do without."""
     from scipy.integrate import DOP853
 
-    return Tableau(DOP853.A, DOP853.B, DOP853.E3, DOP853.E5)
+    return Tableau(DOP853.A, DOP853.B, DOP853.E3, DOP853.E5, DOP853.A_EXTRA, DOP853.D)
 
 
 @compiled
 def state_at(stage, y, h, rates, tableau, out):
-    """Fills the state at which the rate of a stage is taken, from the rates before it; after STAGES, the step's end."""
-    for l in range(y.size):
-        out[l] = 0.0
-    for j in range(stage):
-        a = tableau.A[stage, j] if stage < STAGES else tableau.B[j]
-        if a != 0.0:
-            for l in range(y.size):
-                out[l] += a * rates[j, l]
-    for l in range(y.size):
-        out[l] = y[l] + h * out[l]
+    """Fill the state at which the rate of a stage is taken, from the rates before it.
+
+    The stage STAGES is the end of the step; those after it serve the interpolant.
+    """
+    for start in range(0, y.size, BLOCK):
+        end = min(start + BLOCK, y.size)
+        for l in range(start, end):
+            out[l] = 0.0
+        for j in range(stage):
+            if stage < STAGES:
+                a = tableau.A[stage, j]
+            else:
+                a = tableau.B[j] if stage == STAGES else tableau.A_more[stage - STAGES - 1, j]
+            if a != 0.0:
+                for l in range(start, end):
+                    out[l] += a * rates[j, l]
+        for l in range(start, end):
+            out[l] = y[l] + h * out[l]
 
 
 @compiled
@@ -61,6 +78,30 @@ def step_error(h, rates, tableau, new, absolute):
         scale = 1.0 if l < absolute else 1.0 + abs(new[l])
         fifth, third = larger(abs(e5) / scale, fifth), larger(abs(e3) / scale, third)
     return h * fifth * fifth / math.sqrt(fifth * fifth + 0.01 * third * third + 1e-300)
+
+
+@compiled
+def interpolant(y, h, rates, tableau, new, F):
+    """Fill the coefficients F (7, size) of `state_within` from all 16 rates of a step from y to new."""
+    for l in range(y.size):
+        F[0, l] = new[l] - y[l]
+        F[1, l] = h * rates[0, l] - F[0, l]
+        F[2, l] = 2.0 * F[0, l] - h * (rates[0, l] + rates[STAGES, l])
+        for i in range(4):
+            total = 0.0
+            for j in range(STAGES + 4):
+                total += tableau.D[i, j] * rates[j, l]
+            F[3 + i, l] = h * total
+
+
+@compiled
+def state_within(y, F, part, out):
+    """Fill the state at a part of the step, in [0, 1]."""
+    for l in range(y.size):
+        total = 0.0
+        for i in range(7):
+            total = (total + F[6 - i, l]) * (part if i % 2 == 0 else 1.0 - part)
+        out[l] = y[l] + total
 
 
 @compiled

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.solvers.kernels import compiled
-from hjprofile.solvers.kernels.law import law_derivatives
+from hjprofile.solvers.kernels.law import LawTable, law_derivatives
 
 # Residuals of X and W, for a way X of at most 1 and as parts of a longer one
 CLOSE = 4e-15  # at which a shock's labels are found; below it Newton's step is noise
@@ -27,7 +27,7 @@ class Rule(NamedTuple):
     Attributes:
         s, bary: points in [-1, 1] and their barycentric weights.
         D: derivative at the points.
-        B: B[i] @ g is ∫ g ds from s[i] to 1.
+        B: g @ B[:, i] is ∫ g ds from s[i] to 1.
     """
 
     s: np.ndarray
@@ -53,6 +53,37 @@ class Mesh(NamedTuple):
     base: np.ndarray
     joined: np.ndarray
     first: np.ndarray
+
+
+class Medium(NamedTuple):
+    """What stays the same in a step: the mesh, the rule of its panels and the erosion law."""
+
+    mesh: Mesh
+    rule: Rule
+    law: LawTable
+
+
+class Shocks(NamedTuple):
+    """The labels of shocks, which a state decides, as they were found last.
+
+    Attributes:
+        off: distances of each shock's labels from its joint, shape (shocks, 2).
+        birth, power, tau: of a young shock, whose `off` scale with (t - birth)^power from the age tau; later power = 0.
+        top: distance of the label at x = 0 from the last joint, shape (1,).
+    """
+
+    off: np.ndarray
+    birth: np.ndarray
+    power: np.ndarray
+    tau: np.ndarray
+    top: np.ndarray
+
+
+class Flux(NamedTuple):
+    """ln K = ln r + S + c: S at the points of panels, c for each segment."""
+
+    S: np.ndarray
+    c: np.ndarray
 
 
 @compiled
@@ -87,10 +118,7 @@ def at_label(p, s, r, X, mesh, rule, w):
     weights(rule, s, w)
     slope = 0.0
     for i in range(w.size):
-        row = 0.0
-        for j in range(w.size):
-            row += rule.D[i, j] * X[p, j]
-        slope += w[i] * row
+        slope += w[i] * dot(X[p], rule.D, i)
     rate = dot(w, r, p)
     return rate, dot(w, X, p), dot(w, mesh.I, p) - rate, slope
 
