@@ -203,8 +203,15 @@ class Panels:
         return rest._cropped(*rest.living()) if len(rest.r) else rest
 
     def _cropped(self, low: Array, high: Array) -> Panels:
-        """Return panels without dead parts of more than half of one, which can diverge and would set the step."""
-        a, b = (np.where(low > MOST_DEAD, low - MARGIN, -1.0), np.where(high < -MOST_DEAD, high + MARGIN, 1.0))
+        """Return panels without dead parts of more than half of one, which can diverge and would set the step.
+
+        A panel without an analytic continuation stays: beyond its end a label is found by the panel's own formula.
+        """
+        back = self.mesh.joined.copy()
+        back[self.mesh.first[:-1][self.mesh.first[:-1] < len(back)]] = False
+        onwards = np.append(back[1:], False)
+        a = np.where((low > MOST_DEAD) & onwards, low - MARGIN, -1.0)
+        b = np.where((high < -MOST_DEAD) & back, high + MARGIN, 1.0)
         if np.all((a == -1.0) & (b == 1.0)):
             return self
         off, power, off_top = self.off.copy(), self.power.copy(), self.off_top.copy()
@@ -292,11 +299,12 @@ def _smooth(problem: Problem, x: float, end: float, ends: tuple, sample: Sample)
         slope = np.abs(r @ RULE.D.T).max(axis=1) / half[:, 0] if stated is not None else np.zeros(len(r))
         rounding = 2.0 * np.finfo(float).eps * np.abs(pending).max(axis=1)
         noise = np.minimum(np.maximum(TAIL_OF_DATA, rounding * slope), MISSED)
-        good = np.maximum(tails(r), tails(W + r)) <= noise
+        rough = np.maximum(tails(r), tails(W + r))
+        good = rough <= noise
         allowed = most_missed + rounding * np.abs(q).max(axis=1)
         for p in np.flatnonzero(good):
             inside = slice(*np.searchsorted(sample.x, pending[p]))
-            rows = interpolation((sample.x[inside] - at[p].mean()) / half[p, 0])
+            rows = interpolation((sample.x[inside] - pending[p].mean()) / half[p, 0])
             missed = np.abs(rows @ W[p] - (sample.W[inside] - W0)).max(initial=0.0)
             good[p] = missed <= allowed[p]
         columns += [
@@ -305,9 +313,10 @@ def _smooth(problem: Problem, x: float, end: float, ends: tuple, sample: Sample)
         ]
         narrow = ~good & (half[:, 0] < NARROWEST)
         if narrow.any():
+            worst = int(np.argmax(np.where(narrow, rough, 0.0)))
             raise RunError(
-                f"the profile is not smooth near x = {a[narrow][0, 0]:.6g}, and says of no corner there: "
-                "characteristics cannot follow it; use the method fronts"
+                f"the profile is not smooth near x = {a[worst, 0]:.6g}, and says of no corner there: characteristics "
+                "cannot follow it"
             )
         wide, middle = pending[~good], 0.5 * pending[~good].sum(axis=1)
         pending = np.concatenate([np.stack([wide[:, 0], middle], axis=1), np.stack([middle, wide[:, 1]], axis=1)])
