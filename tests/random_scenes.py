@@ -1,5 +1,6 @@
 """Random slopes under random laws, of ordinary and of unusual scales, and the same problems in other units."""
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -71,6 +72,8 @@ def grid_of(problem, cells=1000):
 KINDS = "bumps", "signs", "narrow-wide", "wide", "crowd", "points", "steps"
 MOST_FOLDS = 8.0  # largest ∫|f(q)| dx, which bounds |ln K|
 
+SMALL = 1e-3  # factor of q with which a profile is surely admissible
+
 
 def unusual_scene(rng):
     """Return a problem of unusual scales, and a grid. The first word of the title is one of KINDS.
@@ -82,16 +85,16 @@ def unusual_scene(rng):
     kind = str(rng.choice(KINDS))
     make, widths = _unusual_points(rng, kind) if kind in ("points", "steps") else _unusual_bumps(rng, kind)
     most = _log_uniform(rng, 0.3, MOST_FOLDS)
+    small = fine_sample(problem := hj.Problem(law, make(SMALL), end=1.0), min(problem.profile.start(1e-14), -1e-3))
     shrink = 1.0
     while True:
-        try:
-            problem = hj.Problem(law, make(shrink), end=1.0)
-            sample = _unusual_sample(problem)
-            if np.abs(law.f(sample.q)) @ np.diff(sample.x) < most:
+        q = shrink / SMALL * small.q
+        if q.min() > -0.99 and np.abs(law.f(q)) @ np.diff(small.x) < most:
+            with suppress(hj.InputError):  # q <= -1 between the positions of the sample
+                problem = hj.Problem(law, make(shrink), end=1.0)
                 break
-        except hj.InputError:  # q <= -1 where bumps add up
-            pass
         shrink *= 0.7
+    sample = small._replace(q=q)
     times = _times(law, sample, widths, scale)
     end = float(min(times[rng.integers(0, len(times))] * _log_uniform(rng, 0.2, 5.0), 1.2 * times[-1]))
     snapshots = [0.0, end] if rng.random() < 0.7 else np.sort(rng.uniform(0.0, end, int(rng.integers(2, 6)))).tolist()
@@ -200,11 +203,6 @@ def _unusual_points(rng, kind):
     if rng.random() < 0.5:
         q[[0, -1]] = 0.0
     return lambda shrink: hj.points(x, shrink * q), lengths
-
-
-def _unusual_sample(problem):
-    """Return a sample of the profile that resolves it."""
-    return fine_sample(problem, min(problem.profile.start(1e-14), -1e-3))
 
 
 def _times(law, sample, widths, scale):

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from truths import TOLERANCES, VERDICTS, Worker, known_truth, scene, study
+from truths import TOLERANCES, VERDICTS, compiled, known_truth, scene, study
 
 import hjprofile as hj
 
@@ -113,10 +113,7 @@ def cost_of_choices(seed, tolerances, exact):
 
 def hindsight(seeds, tolerances, options):
     ratios = {t: [] for t in tolerances}
-    Worker()  # imported here, so that a spawned process finds this module's functions
-    for law in (hj.rational(), hj.expression("2*q/(1+q)")):
-        problem = hj.Problem(law, hj.bumps([1.0, -0.4], [-4.0, -2.0], [0.5, 0.5]), end=1.0)
-        hj.solve(problem, 1e-3), hj.solve(problem, 1e-9)
+    compiled()
     print("seed kind tolerance auto best ratio choice")
     for seed in seeds:
         exact = known_truth(seed, options.truths, options.truth_seconds)
