@@ -1,9 +1,9 @@
 """The exact u of a problem as far as independent methods agree on it, and runs of `auto` that are judged by it.
 
 Characteristics at their finest, extrapolated fronts, and extrapolated cells of the conservation law share no numerics.
-The distance of two of them bounds the error of both, unless both err alike. Characteristics of the same problem in other
-units (`twin`) have other panels and steps: where fronts confirm them to `COARSER`, the distance of the two is taken for
-the error, which fronts cannot measure.
+The distance of two of them bounds the error of both, unless both err alike. Characteristics of the same problem in
+other units (`twin`) have other panels and steps. The distance of the two is taken for the error if that to fronts is at
+most COARSER times as large, because fronts cannot measure it.
 """
 
 import multiprocessing
@@ -87,7 +87,7 @@ def truth(problem, grid, seconds=10.0, method_of=None):
 def _by_characteristics(problem, grid, seconds):
     for tolerance in (1e-12, 1e-10):
         try:
-            run = hj.solve_characteristics(problem, grid, tolerance, patience=0.5 * seconds)
+            run = hj.solve_characteristics(problem, grid, tolerance, patience=seconds)
         except (hj.RunError, ArithmeticError, ValueError):
             continue
         if run.done and np.isfinite(run.u).all():

@@ -3,10 +3,10 @@
     python tests/benchmarks/unusual_scenes.py [--seeds 0:300] [--tolerance 1e-3] [--truths FOLDER] [--out FILE.jsonl]
     python tests/benchmarks/unusual_scenes.py --hindsight [--seeds 0:60] [--tolerance 1e-3]
 
-The first prints a row for each scene and tolerance and then counts. Errors are distances to what independent methods
-agree on (`tests/truths.py`), and `known` is their agreement. The second divides the processor seconds of `auto` by those
-of the fastest choice that meets the tolerance: fronts, by a number that doubles, the last two runs counted; and
-characteristics, at the coarsest tolerance that does.
+The first prints a row for each scene and tolerance and then counts. Errors are distances to the u on which independent
+methods agree (`tests/truths.py`), and `known` is the distance of these methods. The second divides the processor
+seconds of `auto` by those of the fastest choice that meets the tolerance. The choices are fronts, whose number doubles
+until it does and of which the last two runs count, and characteristics at the coarsest tolerance that does.
 """
 
 import argparse
@@ -26,7 +26,6 @@ import hjprofile as hj
 CHARACTERISTICS = 1e-4, 1e-6, 1e-8, 1e-10, 1e-12
 FIRST_FRONTS, MOST_FRONTS = 32, 25600
 SLOW = 5.0  # seconds of a run that is listed
-ESTIMATE = 0.5, 30.0  # range of estimate/error outside which a run is listed
 LIMIT = 60.0
 
 
@@ -37,6 +36,7 @@ def main():
     asked.add_argument("--truths", help="folder in which truths are kept")
     asked.add_argument("--truth-seconds", type=float, default=10.0)
     asked.add_argument("--limit", type=float, default=LIMIT, help="seconds of one solve")
+    asked.add_argument("--timeouts", type=int, default=2, help="after so many a scene is left")
     asked.add_argument("--out", help="file to which rows are appended, as JSON")
     asked.add_argument("--hindsight", action="store_true")
     options = asked.parse_args()
@@ -52,7 +52,7 @@ def main():
 def table(seeds, tolerances, options):
     rows = []
     print("seed kind tolerance method error estimate estimate/error seconds verdict known")
-    for row in study(seeds, tolerances, options.truths, options.limit, options.truth_seconds):
+    for row in study(seeds, tolerances, options.truths, options.limit, options.truth_seconds, options.timeouts):
         rows.append(row)
         print(
             f"{row.seed:4d} {row.kind:11s} {row.tolerance:.0e} {row.method:15s} {row.error:8.1e} {row.estimate:8.1e} "
@@ -73,7 +73,8 @@ def table(seeds, tolerances, options):
     if ratios:
         print("estimate/error of errors above a hundredth of the tolerance, quantiles 0 2 50 98 100 %:", end=" ")
         print(np.percentile(ratios, [0, 2, 50, 98, 100]).round(2))
-    print(f"processor seconds {sum(r.seconds for r in rows):.0f}, above {SLOW:g} s {sum(r.seconds > SLOW for r in rows)}")
+    slow = sum(row.seconds > SLOW for row in rows)
+    print(f"processor seconds {sum(row.seconds for row in rows):.0f}, above {SLOW:g} s {slow}")
 
 
 def cost_of_choices(seed, tolerances, exact):
