@@ -1,6 +1,7 @@
 """Slopes of unusual scales: no tolerance is missed in silence, by the truth on which independent methods agree."""
 
 import os
+import time
 from collections import Counter
 from dataclasses import replace
 
@@ -96,14 +97,13 @@ def test_a_truth_is_what_two_methods_agree_on():
 def test_a_call_that_takes_too_long_is_stopped(monkeypatch):
     worker = Worker()
     monkeypatch.setattr(truths, "compiled", lambda: None)
-    monkeypatch.setattr(truths, "asleep", lambda s: s if not s else __import__("time").sleep(s), raising=False)
     try:
-        assert worker.call("asleep", 0, seconds=20.0) == 0
-        with pytest.raises(TimeoutError, match="asleep takes more than"):
-            worker.call("asleep", 60, seconds=0.2)
-        assert worker.call("asleep", 0, seconds=20.0) == 0
+        assert worker.call(abs, -3, seconds=20.0) == 3
+        with pytest.raises(TimeoutError, match="sleep takes more than"):
+            worker.call(time.sleep, 60, seconds=0.2)
+        assert worker.call(abs, -3, seconds=20.0) == 3
         with pytest.raises(RuntimeError, match="TypeError"):
-            worker.call("asleep", seconds=20.0)
+            worker.call(abs, seconds=20.0)
     finally:
         worker.close()
 

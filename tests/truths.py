@@ -164,7 +164,7 @@ def known_truth(seed, folder=None, seconds=10.0, worker=None):
         if worker is None:
             return by_method(seed, name, seconds)
         try:
-            return worker.call("by_method", seed, name, seconds, seconds=4.0 * seconds)
+            return worker.call(by_method, seed, name, seconds, seconds=4.0 * seconds)
         except (TimeoutError, RuntimeError):
             return None
 
@@ -217,12 +217,12 @@ def compiled():
 
 
 class Worker:
-    """A forked process in which functions of this module are called, and which is stopped where one takes too long."""
+    """A forked process in which functions of modules are called, and which is stopped where one takes too long."""
 
     def __init__(self):
         self.process = None
 
-    def call(self, name, *arguments, seconds):
+    def call(self, function, *arguments, seconds):
         """Return the function's value. Raises TimeoutError, and RuntimeError where the function raises."""
         if self.process is None:
             compiled()
@@ -231,15 +231,15 @@ class Worker:
             self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
             self.process.start()
             theirs.close()
-        self.pipe.send((name, arguments))
+        self.pipe.send((function, arguments))
         if not self.pipe.poll(seconds):
             self.close()
-            raise TimeoutError(f"{name} takes more than {seconds:g} s")
+            raise TimeoutError(f"{function.__name__} takes more than {seconds:g} s")
         try:
             value = self.pipe.recv()
         except EOFError:
             self.close()
-            raise RuntimeError(f"the process of {name} ended") from None
+            raise RuntimeError(f"the process of {function.__name__} ended") from None
         if isinstance(value, Exception):
             raise value
         return value
@@ -256,11 +256,11 @@ def _serve(pipe):
     np.seterr(all="ignore")  # as for a user, who may see warnings
     while True:
         try:
-            name, arguments = pipe.recv()
+            function, arguments = pipe.recv()
         except EOFError:
             return
         try:
-            pipe.send(globals()[name](*arguments))
+            pipe.send(function(*arguments))
         except Exception as failure:
             pipe.send(RuntimeError(f"{type(failure).__name__}: {failure}"))
 
@@ -278,7 +278,7 @@ def study(seeds, tolerances=TOLERANCES, folder=None, limit=60.0, truth_seconds=1
                 try:
                     if not left:
                         raise TimeoutError("not tried after other timeouts")
-                    yield worker.call("judged", seed, tolerance, exact, seconds=limit)
+                    yield worker.call(judged, seed, tolerance, exact, seconds=limit)
                 except (TimeoutError, RuntimeError) as failure:
                     left = max(left - 1, 0)
                     kind = scene(seed)[0].title.partition(",")[0]

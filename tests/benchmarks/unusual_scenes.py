@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from truths import TOLERANCES, VERDICTS, compiled, known_truth, scene, study
+from truths import AGREE, TOLERANCES, VERDICTS, Worker, known_truth, scene, study
 
 import hjprofile as hj
 
@@ -67,7 +67,7 @@ def table(seeds, tolerances, options):
     for tolerance in tolerances:
         here = [row for row in rows if row.tolerance == tolerance]
         count = Counter(row.verdict for row in here)
-        known = sum(row.known <= 0.1 * tolerance for row in here)
+        known = sum(row.known <= AGREE * tolerance for row in here)
         print(f"{tolerance:.0e} {len(here)} {known} " + " ".join(str(count[v]) for v in VERDICTS))
     ratios = [r.estimate / r.error for r in rows if r.error > max(1e-2 * r.tolerance, 10.0 * r.known)]
     if ratios:
@@ -114,17 +114,23 @@ def cost_of_choices(seed, tolerances, exact):
 
 def hindsight(seeds, tolerances, options):
     ratios = {t: [] for t in tolerances}
-    compiled()
+    worker = Worker()
     print("seed kind tolerance auto best ratio choice")
     for seed in seeds:
-        exact = known_truth(seed, options.truths, options.truth_seconds)
-        asked = [t for t in tolerances if exact.u is not None and exact.best <= 0.1 * t]
+        exact = known_truth(seed, options.truths, options.truth_seconds, worker)
+        asked = [t for t in tolerances if exact.u is not None and exact.best <= AGREE * t]
         if not asked:
             continue
-        for t, (auto, best, choice) in cost_of_choices(seed, asked, exact).items():
+        kind = scene(seed)[0].title.partition(",")[0]
+        try:
+            costs = worker.call(cost_of_choices, seed, asked, exact, seconds=3.0 * options.limit)
+        except (TimeoutError, RuntimeError) as failure:
+            print(f"{seed:4d} {kind:11s} {failure}", flush=True)
+            continue
+        for t, (auto, best, choice) in costs.items():
             ratios[t].append(auto / best)
-            kind = scene(seed)[0].title.partition(",")[0]
             print(f"{seed:4d} {kind:11s} {t:.0e} {auto:7.3f} {best:7.3f} {auto / best:6.2f} {choice}", flush=True)
+    worker.close()
     print("\nratio of processor seconds, quantiles 5 25 50 75 95 100 %")
     for t, values in ratios.items():
         finite = np.array(values)[np.isfinite(values)]
