@@ -31,9 +31,11 @@ from hjprofile.solvers.whole_line import also_on_the_whole_line
 TOLERANCE = 1e-12
 FINEST, COARSEST = 1e-13, 1e-4  # that may be asked for: finer is rounding
 STEPS = 1e-7  # coarsest tolerance of the steps: coarser ones save nothing, and at 1e-4 they can miss a birth
-COARSER, COARSE_STEPS = 100.0, 1e-6  # ratio of the tolerances of the two runs for the estimate; the second's most
+DATA = 1e-3  # error of the panels at t = 0, as a part of the tolerance of steps: both runs have it
+COARSER, COARSE_STEPS = 10.0, 1e-6  # ratio of the tolerances of the two runs for the estimate; the second's most
 READ = 1.5e-3  # seconds of a saved time, where it was measured
 BUDGET = 30.0  # allowance of a budget in tolerances, of the size of its terms; 2000 random runs kept it
+FEWEST_STEPS = 20  # for an estimate of rounding
 ROUNDING = 1e-14  # of W of order 1, after some hundred steps; measured 7e-14 at most on the rational closed forms
 
 
@@ -71,7 +73,7 @@ def _two_runs(
 ) -> Run:
     """Return a run with a tolerance of its steps, and its error by comparison with a coarser one."""
     try:
-        panels = cut_into_panels(problem, grid.left)
+        panels = cut_into_panels(problem, grid.left, DATA * steps)
     except RunError as error:
         raise RunError(f"stopped at t = 0: {error}; use the method fronts") from None
     table = _table(problem, panels)
@@ -81,11 +83,13 @@ def _two_runs(
     if not len(W):
         raise RunError(fine.status)
     apart = float(np.abs(W_coarse[: len(W)] - W).max()) if len(W) <= len(W_coarse) else COARSER * steps
-    rounding = 10.0 * ROUNDING * (1.0 + float(np.abs(W).max()))
+    # of r = R(q) of order 1, in each step; the budget is that of a length times u
+    rounding = 5.0 * np.finfo(float).eps * (FEWEST_STEPS + fine.steps) * (1.0 + float(np.abs(W).max()))
+    budget = 10.0 * fine.volume_budget_error / -float(panels.mesh.base[0])
     return replace(
         fine,
         wall_seconds=fine.wall_seconds + coarse.wall_seconds,
-        error_estimate=max(2.0 * apart, 10.0 * fine.volume_budget_error) + rounding,
+        error_estimate=max(2.0 * apart, budget) + rounding,
     )
 
 

@@ -227,10 +227,11 @@ class Panels:
         return replace(rest, off=off, power=power, off_top=off_top)
 
 
-def cut_into_panels(problem: Problem, left: float) -> Panels:
-    """The profile of a problem on panels between its corners and jumps, right of `left` or of where q begins.
+def cut_into_panels(problem: Problem, left: float, tail: float = TAIL_OF_DATA) -> Panels:
+    """Return the profile of a problem on panels between its corners and jumps, right of `left` or of where q begins.
 
-    Raises RunError where the profile is not smooth between these.
+    `tail` is the largest of the last Chebyshev coefficients of R(q). Raises RunError where the profile is not smooth
+    between corners and jumps.
     """
     law, profile = problem.law, problem.profile
     start = profile.start(tail=1e-17)
@@ -249,7 +250,7 @@ def cut_into_panels(problem: Problem, left: float) -> Panels:
             W = float(profile.W(np.array([x]), law)[0] - profile.W(np.array([start]), law)[0])
             columns += _fan(x, W, float(law.R(before)), float(law.R(after)))
         ends = (after if x in at else None, at[end][0] if end in at else None)
-        columns += _smooth(problem, x, end, ends, sample)
+        columns += _smooth(problem, x, end, ends, sample, max(tail, TAIL_OF_DATA))
     first.append(len(columns))
     r, X, I, dI, half, base, joined = (np.array(a) for a in zip(*columns, strict=True))
     shocks = len(first) - 2
@@ -271,14 +272,14 @@ def _fan(x: float, W: float, r_left: float, r_right: float) -> list:
     return columns
 
 
-def _smooth(problem: Problem, x: float, end: float, ends: tuple, sample: Sample) -> list:
-    """Return panels of a piece without corners, halved until their last Chebyshev coefficients are rounding.
+def _smooth(problem: Problem, x: float, end: float, ends: tuple, sample: Sample, tail: float) -> list:
+    """Return panels of a piece without corners, halved until their last Chebyshev coefficients are below `tail`.
 
     A panel also has to give W at all positions of the sample, because a narrow bump may lie between its own points.
     """
     law, profile = problem.law, problem.profile
     W0 = float(sample.W[0])
-    most_missed = MISSED * float(np.ptp(sample.W)) + 1e-14
+    most_missed = max(tail, MISSED) * float(np.ptp(sample.W)) + 1e-14
     columns, pending = [], np.array([[x, end]])
     while pending.size:  # all panels of one width at once
         a, b = pending.T[:, :, None]
@@ -298,7 +299,7 @@ def _smooth(problem: Problem, x: float, end: float, ends: tuple, sample: Sample)
         # x is known to its rounding, and r to that times its slope, which on a panel that is too wide means nothing
         slope = np.abs(r @ RULE.D.T).max(axis=1) / half[:, 0] if stated is not None else np.zeros(len(r))
         rounding = 2.0 * np.finfo(float).eps * np.abs(pending).max(axis=1)
-        noise = np.minimum(np.maximum(TAIL_OF_DATA, rounding * slope), MISSED)
+        noise = np.minimum(np.maximum(tail, rounding * slope), max(tail, MISSED))
         rough = np.maximum(tails(r), tails(W + r))
         good = rough <= noise
         allowed = most_missed + rounding * np.abs(q).max(axis=1)

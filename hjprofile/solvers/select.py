@@ -16,12 +16,12 @@ from hjprofile.errors import InputError, RunError
 from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid
-from hjprofile.problem.profiles import Kinks
+from hjprofile.problem.profiles import Bumps, Kinks
 from hjprofile.solvers import closed_forms
 from hjprofile.solvers.characteristics import FINEST, READ, solve_characteristics
 from hjprofile.solvers.data_resolution import Resolution, cells_resolve
 from hjprofile.solvers.fronts import track_and_prove, track_fronts
-from hjprofile.solvers.moving_labels import TOO_LONG
+from hjprofile.solvers.moving_labels import LABEL, TOO_LONG, TRY
 from hjprofile.solvers.run import Array, Run
 from hjprofile.solvers.units_of_the_law import Units
 from hjprofile.solvers.vertical_steps import REACH
@@ -43,9 +43,11 @@ FRONT_STEP, TABLE_STEP = 1.5e-7, 4.5e-7
 READ_FRONTS = 5e-4  # ... and of a saved time
 MORE = 1.25  # times as many, at least, where a try misses
 FAR, MOST_FORECAST = 8.0, 600  # times as many fronts as were tried, and the most that are tried to see so far
-QUICK, BREAK = 0.04, 0.012  # half of what characteristics usually take, and of what each corner or jump adds
-PATIENCE = 0.5  # part of the work of fronts after which characteristics are given up
-DIGITS = 1e-10, 1e-12  # coarsest and finest first tolerance of characteristics: coarser ones save nothing, lose kinks
+# Of characteristics, measured on random scenes: tries of a step, and labels, of the first feature and of each one more
+TRIES, TRIES_EACH, LABELS = 30, 4.5, 160
+CORNERS = 3  # that count as one feature
+# First tolerance of characteristics, as a part of that of u, and its range: coarser ones save nothing
+FIRST, DIGITS = 0.1, (1e-12, 1e-8)
 ROUNDING = 1e-12  # of kinks by fronts, per unit of u
 MOST_CELLS = 64_000  # of a grid
 COARSE_CELLS, COARSE_TIMES = 200, 10  # on which two runs are compared, at least
@@ -151,15 +153,14 @@ def _fronts_or_characteristics(search: _Search) -> bool:
         return _characteristics(search, np.inf, "because fronts do not reach it")
     ladder = _Ladder(search)
     needed = ladder.pilot()
-    breaks = len(problem.profile.breaks(problem.law))
-    least = QUICK + BREAK * breaks + READ * problem.kept
-    spent = 0.0
+    least, spent = _usual_work(problem), 0.0  # of characteristics
     while True:
-        work = ladder.work(needed)
+        # all that fronts will have cost: as much is fair for characteristics, in tries each twice as long as the last
+        work = ladder.work(needed) + sum(ladder.work(n) for n in ladder.u)
         if work > max(least, 2.0 * spent):
-            patience, spent = (PATIENCE * work if needed <= MOST_FRONTS else np.inf), work
+            spent = work if needed <= MOST_FRONTS else np.inf
             why = f"because {needed:.2g} fronts would cost more" if np.isfinite(needed) else "because fronts fail"
-            if _characteristics(search, patience, why):
+            if _characteristics(search, spent, why):
                 return True
             if not (search.failed and search.failed[-1].endswith(TOO_LONG)):
                 spent = np.inf
@@ -168,14 +169,20 @@ def _fronts_or_characteristics(search: _Search) -> bool:
         met, needed = ladder.solve(needed)
         if met:
             return True
-        if not np.isfinite(needed):
-            break
     return np.isfinite(spent) and _characteristics(search, np.inf, "because fronts do not reach it")
+
+
+def _usual_work(problem: Problem) -> float:
+    """Return the seconds, by count, that characteristics usually take."""
+    profile = problem.profile
+    bumps = profile.amplitudes.size if isinstance(profile, Bumps) else 0
+    features = max(1.0, bumps, len(profile.breaks(problem.law)) / CORNERS)
+    return (TRIES + TRIES_EACH * features) * (TRY + LABEL * LABELS * features) + READ * problem.kept
 
 
 def _characteristics(search: _Search, patience: float, why: str) -> bool:
     """By characteristics, to a second tolerance if the first does not do."""
-    first = float(np.clip(1e-3 * search.tolerance, DIGITS[1], DIGITS[0]))
+    first = float(np.clip(FIRST * search.tolerance, *DIGITS))
     for tolerance in (first, FINEST):
         run = search.attempt(
             lambda e=tolerance: solve_characteristics(search.problem, search.grid, e, search.progress, patience),  # type: ignore[misc]
