@@ -117,7 +117,7 @@ def twin(problem, ratio):
             text = table["expression"]
     times = [float(t) * ratio**2 for t in problem.times]
     return replace(
-        problem, law=hj.expression(f"({text})/{ratio!r}"), profile=_twin_profile(problem.profile, ratio),
+        problem, law=hj.expression(f"({text})/{ratio!r}", growth=table.get("growth")), profile=_twin_profile(problem.profile, ratio),
         end=problem.end * ratio**2, snapshots=times,
     )  # fmt: skip
 
