@@ -1,6 +1,7 @@
 """Shock-fitted characteristics: closed forms, births, merges and fans to 1e-11, and never a wrong answer."""
 
 import contextlib
+import dataclasses
 import warnings
 
 import numpy as np
@@ -347,3 +348,45 @@ def test_a_hollow_between_two_cells_may_come_to_lie_in_one():
     run = hj.solve_characteristics(problem, hj.Grid(-5.0, 50))
     assert run.q[0].min() > -0.25 and -0.5 < run.q.min() < -0.35
     assert run.bounds["minimum_principle"].worst_margin == 1.0
+
+
+@pytest.mark.parametrize("width", [1e-3, 0.03, 0.7])
+@pytest.mark.parametrize("amplitude", [0.8, -0.5, 3.0])
+def test_a_bump_far_down_the_slope_moves_as_one_near_the_crest(width, amplitude):
+    """K = 1 right of it, so that distance is nothing but rounding of x: 1e-13 at x = -990."""
+    records = []
+    for centre in (-990.0, -30.0 * width):
+        problem = hj.Problem(hj.rational(), hj.bumps([amplitude], [centre], [width]), end=4.0 * width, snapshots=3)
+        run = hj.solve_characteristics(problem, hj.Grid(centre - 8.0 * width, 500), 1e-11)
+        assert run.done and all(bound.holds for bound in run.bounds.values())
+        events = [(e.time / width, e.event, (e.x - centre) / width) for e in run.events]
+        records.append((events, [((k.x - centre) / width, k.q_left, k.q_right) for k in run.kinks]))
+    (far_events, far_kinks), (events, kinks) = records
+    rounding = 1e-8 + 1e-11 / width
+    assert [e[1] for e in far_events] == [e[1] for e in events]
+    for (t, _, x), (t0, _, x0) in zip(far_events, events, strict=True):
+        assert (t, x) == pytest.approx((t0, x0), abs=10.0 * rounding)
+    np.testing.assert_allclose(far_kinks, kinks, atol=rounding)
+
+
+LOST = {
+    # a shock that runs through pieces of very different length
+    "pieces": hj.steps([-3.0, -2.999, -2.0, -1.995, -1.99, -1.0, -0.9995], [0.4, 4.0, 0.2, -0.6, 3.7, 0.03]),
+    "points": hj.points([-5.0, -4.0, -4.0, -3.0, -3.0, -2.9999, -2.0], [0.0, 1.0, 0.2, 0.2, -0.5, 2.0, 0.0]),
+    # labels that flow through a layer of the exchange length ahead of a shock
+    "layer": hj.bumps([0.02], [-150.0], [40.0]),
+    "narrow": hj.bumps([2.0, -0.5, 1.0], [-20.0, -19.97, -5.0], [0.01, 0.01, 0.005]),
+}
+
+
+@pytest.mark.parametrize("name", LOST)
+def test_features_of_very_different_length(name):
+    """Characteristics go through, and agree with those of another tolerance, and with extrapolated cells."""
+    end = 60.0 if name == "layer" else 2.0
+    problem = hj.Problem(hj.rational(), LOST[name], end=end, snapshots=2)
+    grid = problem.profile.grid(500)
+    run, finer = (hj.solve_characteristics(problem, grid, tolerance) for tolerance in (1e-9, 1e-11))
+    assert run.done and finer.done
+    assert np.abs(run.u - finer.u).max() <= 2.0 * run.error_estimate <= 1e-6
+    cells = hj.solve_conservative(problem, dataclasses.replace(grid, cells=8000))
+    assert np.abs(cells.u[:, ::16] - finer.u).max() <= 2e-3 * max(1.0, np.ptp(finer.u[0] - finer.x))
