@@ -14,7 +14,6 @@ PROBLEMS = {
     "bumps": hj.Problem(hj.rational(), hj.bumps([0.9, -0.3], [-5.0, -2.0], [0.6, 0.4]), end=2.0, snapshots=3),
     "kinks": hj.Problem(hj.log(), hj.kinks([-6.0, -3.0], [0.8, 1.5]), end=3.0, snapshots=4),
     "steps": hj.Problem(hj.log(), hj.steps([-6.0, -4.0, -2.0], [0.5, -0.4]), end=1.0, snapshots=[0.5, 1.0]),
-
     "linear growth": hj.Problem(
         hj.expression("q+q/(1+q)", growth="linear"), hj.kinks([-4.0, -2.0], [0.5, 1.0]), end=0.5, snapshots=3
     ),

@@ -24,7 +24,7 @@ def quick_truth(seed):
     problem, grid = scene(seed)
 
     def method_of(name):
-        return METHODS[name](problem, grid, np.inf, *([FEW_FRONTS] if name == "fronts" else []))
+        return METHODS[name](problem, grid, np.inf, *((FEW_FRONTS,) if name == "fronts" else []))
 
     return truth(problem, grid, method_of=method_of)
 

@@ -39,9 +39,8 @@ def stretched(profile: Profile, factor: float) -> Profile:
         case Steady():
             kink = None if profile.kink is None else profile.kink * factor
             return replace(profile, flux=profile.flux / factor, kink=kink)
-        case Given():
-            return replace(profile, u=lambda x: profile.u(x / factor) * factor)
-    raise InputError(f"kind = {profile.table['kind']!r} has no known lengths", ABOUT)
+    assert isinstance(profile, Given)
+    return replace(profile, u=lambda x: profile.u(x / factor) * factor)
 
 
 def tail(profile: Profile, right: float, law: ErosionLaw) -> float:

@@ -339,7 +339,7 @@ class MovingLabels:
             state_within(panels.y, F, part, state)
             t = now.time(now.clock(now.t) + part * h)
             if kernels.find_labels(state, t, self.medium, labels, np.nan):
-                raise _NoLabels
+                raise Lost(self._why())
             return panels.at(state.copy(), labels)
 
         def interpolated(part: float) -> float:
@@ -347,7 +347,7 @@ class MovingLabels:
 
         part = np.nan
         if not lost:
-            with suppress(_NoLabels):
+            with suppress(Lost):
                 part = brentq(interpolated, 0.0, 1.0, xtol=1e-15, rtol=1e-14)
                 ahead = part + 1e-3 * (1.0 if part < 0.5 else -1.0)
                 slope = interpolated(ahead) / (ahead - part)
@@ -364,7 +364,3 @@ class MovingLabels:
         part = brentq(stepped, 0.0, 1.0, xtol=1e-15, rtol=1e-14)
         tried, error = self._try(part * h)
         return part, tried, error
-
-
-class _NoLabels(Exception):
-    """A state of the interpolant has no labels of a shock."""
