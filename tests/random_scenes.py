@@ -116,8 +116,9 @@ def twin(problem, ratio):
         case _:
             text = table["expression"]
     times = [float(t) * ratio**2 for t in problem.times]
+    law = hj.expression(f"({text})/{ratio!r}", growth=table.get("growth"))
     return replace(
-        problem, law=hj.expression(f"({text})/{ratio!r}", growth=table.get("growth")), profile=_twin_profile(problem.profile, ratio),
+        problem, law=law, profile=_twin_profile(problem.profile, ratio),
         end=problem.end * ratio**2, snapshots=times,
     )  # fmt: skip
 
