@@ -12,10 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.solvers.kernels import compiled
-from hjprofile.solvers.kernels.fronts import note, top_front
+from hjprofile.solvers.kernels.fronts import note
 from hjprofile.solvers.kernels.law import polynomial
 
 CROWDED = 0.25  # part of a time step that is taken where a slope is about to become vertical
+LANDINGS = 20  # trials of a time step that ends as a step arrives at x = 0, ...
+LANDED = 1e-10  # ... to within this part of the spacing
 ALIKE = 1e-5  # difference of ln(1 + q) below which [f]/[q] is f' in the middle
 
 
@@ -355,23 +357,68 @@ def number_steps(x, is_step, label, since, n, t, strong, m, speed, log, logged, 
 
 
 @compiled
+def rows(work):
+    """Return the rows of the workspace that `sweep` fills."""
+    return work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7]
+
+
+@compiled
+def top_front_or_step(x, is_step, n):
+    """Return the front whose piece on the right holds x = 0; a step counts as below the crest until it has arrived."""
+    top = n - 1
+    while top > 0 and x[top] > 0.0 and not is_step[top]:
+        top -= 1
+    return top
+
+
+@compiled
+def runge_kutta(x, jump, is_step, y, n, dt, law, work):
+    """Set `work[10:12]` to the changes of x and y in a classical Runge-Kutta step; return the changes of two integrals.
+
+    These are ∫(K_left - 1) dt and ∫F(0) dt. `work` holds the sweep of x and y on entry, and that of the last stage on
+    return.
+    """
+    v_right, r_right, m, K = work[1], work[3], work[4], work[5]
+    k, d, xs, ys, dx, dy = work[6], work[7], work[8], work[9], work[10], work[11]
+    growth = outflow = 0.0
+    for j in range(n):
+        dx[j] = dy[j] = 0.0
+    top = top_front_or_step(x, is_step, n)
+    for stage in range(4):
+        if stage > 0:
+            part = 1.0 if stage == 3 else 0.5
+            for j in range(n):
+                xs[j], ys[j] = x[j] + part * dt * k[j], y[j] + part * dt * d[j]
+            top = top_front_or_step(xs, is_step, n)
+            sweep(xs, jump, is_step, ys, n, top, law, work[0], v_right, work[2], r_right, m, K, k, d)
+        weight = dt / 3.0 if stage in (1, 2) else dt / 6.0
+        at_left, at_top = flows(xs if stage else x, top, v_right, m, K, law)
+        growth += weight * at_left
+        outflow += weight * at_top
+        for j in range(n):
+            dx[j] += weight * k[j]
+            dy[j] += weight * d[j]
+    return growth, outflow
+
+
+@compiled
 def advance(x, jump, is_step, y, label, since, met, n, t, end, reach, spacing, quantum, strong, law, work, log, totals):
     """Classical Runge-Kutta steps to `end`, merging after each; otherwise as `kernels.fronts.advance`.
 
-    `log` takes rows (t, kink, into, x), into = 0 a birth, -1 an exit, -2 a blow-up. `totals` holds ∫(K_left - 1) dt,
-    ∫F(0) dt with the steps that left, the number of steps and the highest label. Returns n and the rows logged.
+    K falls by e^{-η0 m} at the moment at which a vertical step leaves, so a time step ends there. `log` takes rows
+    (t, kink, into, x), into = 0 a birth, -1 an exit, -2 a blow-up. `totals` holds ∫(K_left - 1) dt, ∫F(0) dt with the
+    steps that left, the number of time steps and the highest label. Returns n and the rows logged.
     """
     logged = 0
-    v_right, r_right, m, K = work[1], work[3], work[4], work[5]
-    k, d, xs, ys, dx, dy = work[6], work[7], work[8], work[9], work[10], work[11]
+    r_right, k, dx, dy = work[3], work[6], work[10], work[11]
     while t < end and n > 0:
-        top = top_front(x, n)
-        sweep(x, jump, is_step, y, n, top, law, work[0], v_right, work[2], r_right, m, K, k, d)
-        fastest, opening = 0.0, False
+        top = top_front_or_step(x, is_step, n)
+        sweep(x, jump, is_step, y, n, top, law, *rows(work))
+        fastest, opening, first = 0.0, False, -1
         for j in range(n):
             fastest = max(fastest, k[j])
             opening |= label[j] == 0 and r_right[j] + 8.0 * abs(jump[j]) > law.r_most
-            dx[j] = dy[j] = 0.0
+            first = j if is_step[j] else first
         # where a smooth slope breaks fronts are crowded
         dt = (CROWDED if opening else 1.0) * reach * spacing / fastest
         if not dt > 1e-9 * end:
@@ -380,21 +427,20 @@ def advance(x, jump, is_step, y, label, since, met, n, t, end, reach, spacing, q
             dt = end - t
         elif 2.0 * dt > end - t:
             dt = 0.5 * (end - t)
-        growth = outflow = 0.0
-        for stage in range(4):
-            if stage > 0:
-                part = 1.0 if stage == 3 else 0.5
-                for j in range(n):
-                    xs[j], ys[j] = x[j] + part * dt * k[j], y[j] + part * dt * d[j]
-                top = top_front(xs, n)
-                sweep(xs, jump, is_step, ys, n, top, law, work[0], v_right, work[2], r_right, m, K, k, d)
-            weight = dt / 3.0 if stage in (1, 2) else dt / 6.0
-            at_left, at_top = flows(xs if stage else x, top, v_right, m, K, law)
-            growth += weight * at_left
-            outflow += weight * at_top
-            for j in range(n):
-                dx[j] += weight * k[j]
-                dy[j] += weight * d[j]
+        longest = dt
+        if first >= 0:
+            dt = min(dt, -x[first] / k[first])
+        growth, outflow = runge_kutta(x, jump, is_step, y, n, dt, law, work)
+        for trial in range(LANDINGS):
+            beyond = x[first] + dx[first] if first >= 0 else -1.0
+            if dt == longest and beyond <= 0.0:
+                break
+            if abs(beyond) <= LANDED * spacing or trial == LANDINGS - 1:
+                dx[first] = -x[first]
+                break
+            dt = min(max(dt - beyond / k[first], 0.5 * dt), longest)
+            sweep(x, jump, is_step, y, n, top, law, *rows(work))
+            growth, outflow = runge_kutta(x, jump, is_step, y, n, dt, law, work)
         for j in range(n):
             x[j] += dx[j]
             y[j] = max(y[j] + dy[j], 0.0)
@@ -402,13 +448,11 @@ def advance(x, jump, is_step, y, label, since, met, n, t, end, reach, spacing, q
         totals[1] += outflow
         totals[2] += 1.0
         t = end if dt == end - t else t + dt
-        top = top_front(x, n)
-        sweep(x, jump, is_step, y, n, top, law, work[0], v_right, work[2], r_right, m, K, k, d)
+        sweep(x, jump, is_step, y, n, top_front_or_step(x, is_step, n), law, *rows(work))
         before = n
         n, logged = merge(x, jump, is_step, y, label, since, met, n, t, law, work, log, logged)
         if n < before:
-            top = top_front(x, n)
-            sweep(x, jump, is_step, y, n, top, law, work[0], v_right, work[2], r_right, m, K, k, d)
+            sweep(x, jump, is_step, y, n, top_front_or_step(x, is_step, n), law, *rows(work))
         n, logged = transitions(
             x, jump, is_step, y, label, since, met, n, t, quantum, strong, law, work, log, logged, totals
         )
