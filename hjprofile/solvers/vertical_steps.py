@@ -12,6 +12,7 @@ import numpy as np
 from numpy.polynomial import polynomial as P
 
 from hjprofile.problem.erosion import Array, ErosionLaw
+from hjprofile.solvers.kernels import step_motion
 from hjprofile.solvers.kernels import steps as kernels
 from hjprofile.solvers.kernels.steps import StepLaw
 from hjprofile.solvers.run import Event, KinkRecord, VerticalStep
@@ -154,7 +155,7 @@ class StepTracker(Tracker):
         if not exact:
             self._sweep()
             q, strong, *rest = self._rest
-            self._note(*kernels.transitions(*self._arrays, self.n, 0.0, q, strong, *rest[:-1], 0, self.totals))
+            self._note(*step_motion.transitions(*self._arrays, self.n, 0.0, q, strong, *rest[:-1], 0, self.totals))
 
     @property
     def _arrays(self) -> tuple[Array, ...]:
@@ -168,7 +169,7 @@ class StepTracker(Tracker):
         """To the time `end`, if steps are not too small for that; events are noted."""
         if self.exact:
             return self._advance_exactly(end)
-        n, logged = kernels.advance(*self._arrays, self.n, self.t, end, REACH, self.spacing, *self._rest)
+        n, logged = step_motion.advance(*self._arrays, self.n, self.t, end, REACH, self.spacing, *self._rest)
         self._note(n, logged)
         self.t = end
         return bool(logged >= 0)
