@@ -151,7 +151,7 @@ class StepTracker(Tracker):
         self.label, self.is_step = np.zeros(room, dtype=np.int64), np.zeros(room, dtype=bool)
         self.x[: self.n], self.jump[: self.n], self.label[: self.n] = x, jump, label
         self.since[:] = self.met[:] = np.inf
-        self.work = np.zeros((12, room))
+        self.work = np.zeros((14, room))
         if not exact:
             self._sweep()
             q, strong, *rest = self._rest

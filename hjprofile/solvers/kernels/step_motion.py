@@ -6,7 +6,7 @@ import numpy as np
 
 from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.fronts import note
-from hjprofile.solvers.kernels.steps import at, f_of, flows, merge, sweep, v_of_r, y_of
+from hjprofile.solvers.kernels.steps import at, f_of, flows, merge, moved, sweep, v_of_r, y_of
 
 CROWDED = 0.25  # part of a time step that is taken where a slope is about to become vertical
 LANDINGS = 20  # trials of a time step that ends as a step arrives at x = 0, ...
@@ -108,13 +108,15 @@ def runge_kutta(x, jump, is_step, y, n, dt, law, work):
     """Set `work[10:12]` to the changes of x and y in a classical Runge-Kutta step; return the changes of two integrals.
 
     These are ∫(K_left - 1) dt and ∫F(0) dt. `work` holds the sweep of x and y on entry, and that of the last stage on
-    return.
+    return. `work[12]` is set to y on the right of the fronts afterwards, as the pieces move with K/R: where a front has
+    passed another, the pieces between them may end at a vertical slope before that, and W does not tell it.
     """
     v_right, r_right, m, K = work[1], work[3], work[4], work[5]
-    k, d, xs, ys, dx, dy = work[6], work[7], work[8], work[9], work[10], work[11]
+    k, d, xs, ys, dx, dy, y_right, shift = work[6], work[7], work[8], work[9], work[10], work[11], work[12], work[13]
     growth = outflow = 0.0
     for j in range(n):
-        dx[j] = dy[j] = 0.0
+        dx[j] = dy[j] = shift[j] = 0.0
+        y_right[j] = y_of(v_right[j], law)
     top = top_front_or_step(x, is_step, n)
     for stage in range(4):
         if stage > 0:
@@ -130,6 +132,9 @@ def runge_kutta(x, jump, is_step, y, n, dt, law, work):
         for j in range(n):
             dx[j] += weight * k[j]
             dy[j] += weight * d[j]
+            shift[j] += weight * K[j] / r_right[j]
+    for j in range(n):
+        y_right[j] = moved(y_right[j], dx[j] - shift[j], law)
     return growth, outflow
 
 

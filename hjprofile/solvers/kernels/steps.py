@@ -15,6 +15,7 @@ from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.fronts import note
 from hjprofile.solvers.kernels.law import polynomial
 
+LEVEL = 1e-14  # height of a step, relative to the jump of I, that is rounding
 ALIKE = 1e-5  # difference of ln(1 + q) below which [f]/[q] is f' in the middle
 
 
@@ -242,6 +243,9 @@ def corner(left, right, jump, law):
     xa, xb = left[0], right[0]
     x, most = 0.5 * (xa + xb), 20.0 * abs(xa - xb)
     at_a, at_b = height(xa, left, right, jump, law)[0], height(xb, left, right, jump, law)[0]
+    for end, m in ((xa, at_a), (xb, at_b)):
+        if abs(m) <= LEVEL * max(1.0, abs(jump)):
+            return end, True
     between = at_a > 0.0 > at_b or at_a < 0.0 < at_b
     low, high = (min(xa, xb), max(xa, xb)) if between else (x - most, x + most)
     rising = at_b > at_a if xb > xa else at_a > at_b
@@ -288,21 +292,20 @@ def merge(x, jump, is_step, y, label, since, met, n, t, law, work, log, logged):
     """Merges fronts that are out of order, also several at once; returns how many are left and the rows logged.
 
     Two kinks merge where W stays continuous, and where ∫W dx does not change if a step is among them or comes of them.
-    The piece on the right of all is untouched, and with it the mass.
+    The piece on the right of all is untouched, and with it the mass. `work[12]` holds y on the right of the fronts.
     """
-    v_left, v_right, m, speed = work[0], work[1], work[4], work[6]
+    v_left, v_right, m, speed, y_right = work[0], work[1], work[4], work[6], work[12]
     k = -1
     for j in range(n):
         k += 1
         if k < j:
             x[k], jump[k], is_step[k], y[k], label[k] = x[j], jump[j], is_step[j], y[j], label[j]
-            since[k], met[k] = since[j], met[j]
+            since[k], met[k], y_right[k] = since[j], met[j], y_right[j]
             v_left[k], v_right[k], m[k], speed[k] = v_left[j], v_right[j], m[j], speed[j]
         while k > 0 and x[k - 1] > x[k]:
             i = k - 1
             total = jump[i] + jump[k]
-            left, middle = (x[i], y_of(v_left[i], law)), (x[i], y_of(v_right[i], law))
-            right = (x[k], y_of(v_right[k], law))
+            left, middle, right = (x[i], y_of(v_left[i], law)), (x[i], y_right[i]), (x[k], y_right[k])
             place, fits = corner(left, right, total, law)
             as_step = is_step[i] or is_step[k] or not fits
             if as_step:
@@ -317,7 +320,7 @@ def merge(x, jump, is_step, y, label, since, met, n, t, law, work, log, logged):
                 label[i] = max(label[i], label[k])
             if as_step and label[i] > 0 and not known:
                 logged = note(log, logged, min(t, since[i], since[k]), label[i], -2.0, place)
-            y[i] = moved(right[1], place - right[0], law)
+            y[i] = y_right[i] = moved(right[1], place - right[0], law)
             v_left[i] = v_of(moved(left[1], place - left[0], law), law)
             v_right[i] = v_of(y[i], law)
             m[i] = r_of(v_left[i], law) + total - r_of(v_right[i], law) if as_step else 0.0
