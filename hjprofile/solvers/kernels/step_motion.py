@@ -6,9 +6,10 @@ import numpy as np
 
 from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.fronts import note
-from hjprofile.solvers.kernels.steps import at, f_of, flows, merge, moved, sweep, v_of_r, y_of
+from hjprofile.solvers.kernels.steps import at, f_of, flows, merge, moved, r_of, sweep, v_of, v_of_r, y_of
 
 CROWDED = 0.25  # part of a time step that is taken where a slope is about to become vertical
+STEEP = 0.02  # change of R at x = 0 in a time step beyond which its integral is not left to the stages
 LANDINGS = 20  # trials of a time step that ends as a step arrives at x = 0, ...
 LANDED = 1e-10  # ... to within this part of the spacing
 
@@ -113,11 +114,12 @@ def runge_kutta(x, jump, is_step, y, n, dt, law, work):
     """
     v_right, r_right, m, K = work[1], work[3], work[4], work[5]
     k, d, xs, ys, dx, dy, y_right, shift = work[6], work[7], work[8], work[9], work[10], work[11], work[12], work[13]
-    growth = outflow = 0.0
+    growth = outflow = steepest = 0.0
     for j in range(n):
         dx[j] = dy[j] = shift[j] = 0.0
         y_right[j] = y_of(v_right[j], law)
-    top = top_front_or_step(x, is_step, n)
+    top = first_top = top_front_or_step(x, is_step, n)
+    r_top = r_of(v_of(moved(y_right[top], -x[top], law), law), law)
     for stage in range(4):
         if stage > 0:
             part = 1.0 if stage == 3 else 0.5
@@ -129,12 +131,19 @@ def runge_kutta(x, jump, is_step, y, n, dt, law, work):
         at_left, at_top = flows(xs if stage else x, top, v_right, m, K, law)
         growth += weight * at_left
         outflow += weight * at_top
+        steepest = max(steepest, at_top)
         for j in range(n):
             dx[j] += weight * k[j]
             dy[j] += weight * d[j]
             shift[j] += weight * K[j] / r_right[j]
     for j in range(n):
         y_right[j] = moved(y_right[j], dx[j] - shift[j], law)
+        xs[j] = x[j] + dx[j]
+    if dt * steepest > STEEP:  # F is without bound, but dR/dt = F at x = 0, and W is continuous at the fronts that left
+        top = top_front_or_step(xs, is_step, n)
+        outflow = r_of(v_of(moved(y_right[top], -xs[top], law), law), law) - r_top
+        for j in range(top + 1, first_top + 1):
+            outflow += jump[j]
     return growth, outflow
 
 
