@@ -10,6 +10,8 @@ from hjprofile.solvers.kernels.steps import at, f_of, flows, merge, moved, r_of,
 
 CROWDED = 0.25  # part of a time step that is taken where a slope is about to become vertical
 STEEP = 0.02  # change of R at x = 0 in a time step beyond which its integral is not left to the stages
+NEAR_VERTICAL = 4.0  # time steps within which a step can move by its distance from where its right piece is vertical
+CONTACT = 0.9  # part of the speed of a step beyond which slopes on its right, which move so fast, soon leave it
 LANDINGS = 20  # trials of a time step that ends as a step arrives at x = 0, ...
 LANDED = 1e-10  # ... to within this part of the spacing
 
@@ -163,10 +165,15 @@ def advance(x, jump, is_step, y, label, since, met, n, t, end, reach, spacing, q
         fastest, opening, first = 0.0, False, -1
         for j in range(n):
             fastest = max(fastest, k[j])
-            opening |= label[j] == 0 and r_right[j] + 8.0 * abs(jump[j]) > law.r_most
+            opening |= r_right[j] + 8.0 * (abs(jump[j]) if label[j] == 0 else quantum) > law.r_most
             first = j if is_step[j] else first
-        # where a smooth slope breaks fronts are crowded
-        dt = (CROWDED if opening else 1.0) * reach * spacing / fastest
+        dt = reach * spacing / fastest
+        for j in range(n):
+            if is_step[j] and label[j] > 0:
+                opening |= y[j] < NEAR_VERTICAL * abs(work[7, j]) * dt
+                opening |= work[5, j] * at(law.df, law, work[1, j]) > CONTACT * k[j]
+        # where a smooth slope breaks fronts are crowded, and q on the right of a step changes fast where it is large
+        dt *= CROWDED if opening else 1.0
         if not dt > 1e-9 * end:
             return n, -1
         if dt >= end - t:
