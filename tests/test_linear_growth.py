@@ -522,4 +522,4 @@ def test_fronts_date_births_and_blow_ups_of_smooth_data():
     run = hj.track_fronts(problem, hj.Grid(-9.0, 1000), 400)
     dates = [(e.event, e.time) for e in run.events if e.event != "merge"]
     assert [name for name, _ in dates] == ["birth", "birth", "blow-up"] and not run.cautions
-    assert [t for _, t in dates] == pytest.approx([0.101, 0.187, 0.349], abs=5e-3)  # dated by the first two fronts that meet
+    assert [t for _, t in dates] == pytest.approx([0.101, 0.187, 0.349], abs=5e-3)  # the first two that meet

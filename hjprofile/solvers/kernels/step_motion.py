@@ -1,4 +1,4 @@
-"""Time steps of fronts under a law of linear growth, and the transitions between kinks and vertical steps (theory, §14)."""
+"""Time steps of fronts under linear growth, and the transitions between kinks and vertical steps (theory, §14)."""
 
 import math
 

@@ -236,7 +236,7 @@ def height(x, left, right, jump, law):
 
 @compiled
 def corner(left, right, jump, law):
-    """Return where W is continuous between two pieces, by Newton's method kept between their positions if it lies there.
+    """Return where W is continuous between two pieces, by Newton's method, between their positions if it lies there.
 
     It does for two fronts that jump the same way. The second value is whether W is continuous.
     """
