@@ -517,6 +517,13 @@ def test_grids_do_not_date_births_and_blow_ups_of_smooth_data(method):
     assert "use the method fronts" in caution
 
 
+def test_no_kink_is_born_of_kinks_alone_on_a_grid():
+    """The dip behind the layer of a step looks like one; the blow-up, at 0.3466, is dated late, at 0.413."""
+    run = hj.solve_conservative(two_kinks(0.9), hj.Grid(-4.0, 1600))
+    assert [e.event for e in run.events] == ["blow-up"] and not run.cautions
+    assert pair().blow_up < run.events[0].time < 0.43
+
+
 def test_fronts_date_births_and_blow_ups_of_smooth_data():
     problem = hj.Problem(LAW, hj.bumps([0.5, 0.8], [-6.0, -3.0], [0.5, 0.5]), end=0.8)
     run = hj.track_fronts(problem, hj.Grid(-9.0, 1000), 400)

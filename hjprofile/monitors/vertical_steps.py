@@ -125,7 +125,9 @@ def with_dates(
     behind its layer q dips and rises again: births depend on the cells, and blow-ups are found early or late. Where the
     data are kinks only, no kink is born, and blow-ups are dated late, when the step has the least height that is found.
     """
-    doubtful = {"birth": "births of kinks"} if kinks_only else {"birth": "births of kinks", "blow-up": "blow-ups"}
+    if kinks_only:
+        return [e for e in events if e.event != "birth"], ()
+    doubtful = {"birth": "births of kinks", "blow-up": "blow-ups"}
     dropped = [name for kind, name in doubtful.items() if any(e.event == kind for e in events)]
     if not dropped:
         return list(events), ()
