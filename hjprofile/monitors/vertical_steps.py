@@ -7,6 +7,7 @@ holds, and its height is what is then between them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -38,11 +39,10 @@ class Layer(NamedTuple):
 
 def find_steps(q: Array, x_left: float, dx: float, f: Array, law: StepLaw) -> list[Layer]:
     """Steps from left to right, for cell means q and f(q) from x_left on."""
-    y_near, y_cell = (-np.expm1(-law.rate * cells * dx) for cells in (NEAR, 1.0))
-    steep = np.expm1(kernels.v_of(y_near, law))
+    steep = np.expm1(kernels.v_of(-np.expm1(-law.rate * NEAR * dx), law))
     if not np.max(q) > steep:
         return []
-    least = LEAST * (law.r_most - kernels.r_of(kernels.v_of(y_cell, law), law))
+    least = least_height(dx, law)
     W = np.append(0.0, np.cumsum(q) * dx)
     ln_K = np.empty(q.size + 1)
     exponent(f, dx, ln_K)
@@ -108,6 +108,34 @@ def _fit(W: Array, x_a: float, x_b: float, v: Array, law: StepLaw) -> tuple[floa
         kernels.r_of(kernels.v_of(kernels.moved(y[k], x - at, law), law), law) for k, at in enumerate((x_a, x_b))
     )
     return x, float((I[1] - right) - (I[0] - left)), float(right)
+
+
+def least_height(dx: float, law: StepLaw) -> float:
+    """Return the height from which on a step is found on cells of width dx."""
+    y_cell = -np.expm1(-law.rate * dx)
+    return LEAST * float(law.r_most - kernels.r_of(kernels.v_of(y_cell, law), law))
+
+
+def with_dates(
+    events: Sequence[Event], grid: Grid, law: StepLaw, kinks_only: bool
+) -> tuple[list[Event], tuple[str, ...]]:
+    """Return the events that a grid can date, and a caution about the others.
+
+    Before a slope becomes infinite it is steeper than any grid resolves. A scheme spreads it as it spreads a step, and
+    behind its layer q dips and rises again: births depend on the cells, and blow-ups are found early or late. Where the
+    data are kinks only, no kink is born, and blow-ups are dated late, when the step has the least height that is found.
+    """
+    if kinks_only:
+        return [e for e in events if e.event != "birth"], ()
+    doubtful = {"birth": "births of kinks", "blow-up": "blow-ups"}
+    dropped = [name for kind, name in doubtful.items() if any(e.event == kind for e in events)]
+    if not dropped:
+        return list(events), ()
+    caution = (
+        f"{' and '.join(dropped)} are not reported, because {grid.cells} cells do not date them: a vertical step is "
+        f"found from a height of {least_height(grid.dx, law):.2g} on; use the method fronts for dates"
+    )
+    return [e for e in events if e.event not in doubtful], (caution,)
 
 
 class StepMonitor:

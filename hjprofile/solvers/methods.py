@@ -21,12 +21,12 @@ from hjprofile.monitors.bounds import (
     Promises,
 )
 from hjprofile.monitors.kinks import KinkTracker
-from hjprofile.monitors.vertical_steps import StepMonitor
+from hjprofile.monitors.vertical_steps import StepMonitor, with_dates
 from hjprofile.problem import OFF_GRID, Problem
 from hjprofile.problem.case import DEFAULT_CFL, DEFAULT_METHOD, Case, resolved_case
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.identity import identity
-from hjprofile.problem.profiles import TAIL
+from hjprofile.problem.profiles import TAIL, Kinks
 from hjprofile.problem.ranges import as_number, instance, number, shown
 from hjprofile.solvers import conservation, hj
 from hjprofile.solvers.characteristics import COARSEST, FINEST, solve_characteristics
@@ -204,11 +204,13 @@ def _solve(
     record = march(scheme, problem, grid, cfl, watching, progress, tracker.happened, keeper, identity)
     kinks, events = tracker.result(record.times)
     vertical_steps = None
+    cautions = cells_resolve(problem, grid).caution(f"{grid.cells} cells", "more cells, or the method auto")
     if problem.law.grows_linearly:
         # on a grid nothing tells of which kink a step has come: steps are numbered after all kinks
         taken = max([k.kink for k in kinks] + [e.kink for e in events], default=0)
         vertical_steps, more = steps.result(taken)
-        events = in_order(events + more)
+        events, doubts = with_dates(in_order(events + more), grid, table, isinstance(problem.profile, Kinks))
+        cautions = (*cautions, *doubts)
     u = record.W
     u += grid.nodes
     return Run(
@@ -234,5 +236,5 @@ def _solve(
         volume_budget_error=bounds.budget_error,
         units=problem.profile.units,
         account=problem.profile.account,
-        cautions=cells_resolve(problem, grid).caution(f"{grid.cells} cells", "more cells, or the method auto"),
+        cautions=cautions,
     )

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.polynomial import polynomial as P
 
 from hjprofile.problem.erosion import Array, ErosionLaw
+from hjprofile.solvers.kernels import step_motion
 from hjprofile.solvers.kernels import steps as kernels
 from hjprofile.solvers.kernels.steps import StepLaw
 from hjprofile.solvers.run import Event, KinkRecord, VerticalStep
@@ -150,11 +151,11 @@ class StepTracker(Tracker):
         self.label, self.is_step = np.zeros(room, dtype=np.int64), np.zeros(room, dtype=bool)
         self.x[: self.n], self.jump[: self.n], self.label[: self.n] = x, jump, label
         self.since[:] = self.met[:] = np.inf
-        self.work = np.zeros((12, room))
+        self.work = np.zeros((14, room))
         if not exact:
             self._sweep()
             q, strong, *rest = self._rest
-            self._note(*kernels.transitions(*self._arrays, self.n, 0.0, q, strong, *rest[:-1], 0, self.totals))
+            self._note(*step_motion.transitions(*self._arrays, self.n, 0.0, q, strong, *rest[:-1], 0, self.totals))
 
     @property
     def _arrays(self) -> tuple[Array, ...]:
@@ -168,7 +169,7 @@ class StepTracker(Tracker):
         """To the time `end`, if steps are not too small for that; events are noted."""
         if self.exact:
             return self._advance_exactly(end)
-        n, logged = kernels.advance(*self._arrays, self.n, self.t, end, REACH, self.spacing, *self._rest)
+        n, logged = step_motion.advance(*self._arrays, self.n, self.t, end, REACH, self.spacing, *self._rest)
         self._note(n, logged)
         self.t = end
         return bool(logged >= 0)

@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.solvers.kernels import compiled
-from hjprofile.solvers.kernels.fronts import note, top_front
+from hjprofile.solvers.kernels.fronts import note
 from hjprofile.solvers.kernels.law import polynomial
 
-CROWDED = 0.25  # part of a time step that is taken where a slope is about to become vertical
+LEVEL = 1e-14  # height of a step, relative to the jump of I, that is rounding
 ALIKE = 1e-5  # difference of ln(1 + q) below which [f]/[q] is f' in the middle
 
 
@@ -215,49 +215,101 @@ def start_pieces(mass, h, law, v):
 
 
 @compiled
-def meeting(xa, va, xb, vb, jump, law):
-    """Where R right of b exceeds R left of a by `jump`: two kinks become one. And whether there is such a place."""
-    x, ya, yb = 0.5 * (xa + xb), y_of(va, law), y_of(vb, law)
-    for _ in range(8):
-        v1, v2 = v_of(moved(ya, x - xa, law), law), v_of(moved(yb, x - xb, law), law)
-        dq = math.expm1(v2) - math.expm1(v1)
-        if v2 >= law.end or dq == 0.0:
+def held(y, h, law):
+    """Return ∫(R - R(0)) dx over a distance h (of either sign) from where y is given, in a piece of constant I."""
+    area = at(law.area, law, v_of(y, law)) - at(law.area, law, v_of(moved(y, h, law), law))
+    if h < 0.0 and y < 1.0:  # beyond its vertical slope a piece is level
+        area += min(h - math.log1p(-y) / law.rate, 0.0) * (law.r_most - law.r0)
+    return area
+
+
+@compiled
+def height(x, left, right, jump, law):
+    """Return the height of a step at x between two pieces, and how fast it grows with x.
+
+    A piece is a position with y there. I right of the step exceeds I left of it by `jump`.
+    """
+    v1 = v_of(moved(left[1], x - left[0], law), law)
+    v2 = v_of(moved(right[1], x - right[0], law), law)
+    return r_of(v1, law) + jump - r_of(v2, law), math.expm1(v2) - math.expm1(v1)
+
+
+@compiled
+def corner(left, right, jump, law):
+    """Return where W is continuous between two pieces, by Newton's method, between their positions if it lies there.
+
+    It does for two fronts that jump the same way. The second value is whether W is continuous.
+    """
+    xa, xb = left[0], right[0]
+    x, most = 0.5 * (xa + xb), 20.0 * abs(xa - xb)
+    at_a, at_b = height(xa, left, right, jump, law)[0], height(xb, left, right, jump, law)[0]
+    for end, m in ((xa, at_a), (xb, at_b)):
+        if abs(m) <= LEVEL * max(1.0, abs(jump)):
+            return end, True
+    between = at_a > 0.0 > at_b or at_a < 0.0 < at_b
+    low, high = (min(xa, xb), max(xa, xb)) if between else (x - most, x + most)
+    rising = at_b > at_a if xb > xa else at_a > at_b
+    for _ in range(60):
+        m, slope = height(x, left, right, jump, law)
+        if between and (m < 0.0) == rising:
+            low = x
+        elif between:
+            high = x
+        nearer = x - m / slope
+        if not low <= nearer <= high:
+            nearer = 0.5 * (low + high) if between else min(max(nearer, low), high) if nearer == nearer else x
+        done = abs(nearer - x) < 1e-15
+        x = nearer
+        if done:
             break
-        dx = (r_of(v2, law) - r_of(v1, law) - jump) / dq
-        x += dx
-        if abs(dx) < 1e-14:
+    m = height(x, left, right, jump, law)[0]
+    return x, m <= 1e-9 * max(1.0, abs(jump))
+
+
+@compiled
+def balance(left, middle, right, jump_left, jump_right, law):
+    """Return where a step between the pieces `left` and `right` keeps ∫W dx as it is with `middle` between them.
+
+    The front on the left of `middle` lies where `left` and `middle` are given, that on its right where `right` is.
+    """
+    (xa, ya), (xb, yb), jump = left, right, jump_left + jump_right
+    now = jump_left * (xb - xa) - held(middle[1], xb - xa, law)
+    x, most = 0.5 * (xa + xb), 20.0 * abs(xa - xb)
+    low, high = x - most, x + most
+    for _ in range(60):
+        m = height(x, left, right, jump, law)[0]
+        gain = jump * (xb - x) + held(yb, x - xb, law) - held(ya, x - xa, law) - now
+        nearer = min(max(x + gain / m, low), high) if m > 0.0 else x
+        done = abs(nearer - x) < 1e-15
+        x = nearer
+        if done:
             break
-    middle, most = 0.5 * (xa + xb), 20.0 * abs(xa - xb)
-    x = min(max(x, middle - most), middle + most) if x == x else middle
-    v1, v2 = v_of(moved(ya, x - xa, law), law), v_of(moved(yb, x - xb, law), law)
-    return x, r_of(v1, law) + jump <= r_of(v2, law) + 1e-9 * max(1.0, abs(jump))
+    return x
 
 
 @compiled
 def merge(x, jump, is_step, y, label, since, met, n, t, law, work, log, logged):
     """Merges fronts that are out of order, also several at once; returns how many are left and the rows logged.
 
-    Two kinks merge where W stays continuous; with a step among them the heights keep their centre of mass. The piece on
-    the right of all is untouched, and with it the mass.
+    Two kinks merge where W stays continuous, and where ∫W dx does not change if a step is among them or comes of them.
+    The piece on the right of all is untouched, and with it the mass. `work[12]` holds y on the right of the fronts.
     """
-    v_left, v_right, m, speed = work[0], work[1], work[4], work[6]
+    v_left, v_right, m, speed, y_right = work[0], work[1], work[4], work[6], work[12]
     k = -1
     for j in range(n):
         k += 1
         if k < j:
             x[k], jump[k], is_step[k], y[k], label[k] = x[j], jump[j], is_step[j], y[j], label[j]
-            since[k], met[k] = since[j], met[j]
+            since[k], met[k], y_right[k] = since[j], met[j], y_right[j]
             v_left[k], v_right[k], m[k], speed[k] = v_left[j], v_right[j], m[j], speed[j]
         while k > 0 and x[k - 1] > x[k]:
             i = k - 1
             total = jump[i] + jump[k]
-            height = (m[i] if is_step[i] else 0.0) + (m[k] if is_step[k] else 0.0)
-            if is_step[i] or is_step[k]:
-                share = m[k] / height if is_step[k] and height > 0.0 else (0.0 if is_step[i] else 1.0)
-                place, as_step = x[i] + min(max(share, 0.0), 1.0) * (x[k] - x[i]), True
-            else:
-                place, fits = meeting(x[i], v_left[i], x[k], v_right[k], total, law)
-                as_step = not fits
+            left, middle, right = (x[i], y_of(v_left[i], law)), (x[i], y_right[i]), (x[k], y_right[k])
+            place, fits = corner(left, right, total, law)
+            as_step = is_step[i] or is_step[k] or not fits
+            if as_step:
+                place = balance(left, middle, right, jump[i], jump[k], law)
             known = (is_step[i] and label[i] > 0) or (is_step[k] and label[k] > 0)
             if label[i] > 0 and label[k] > 0:
                 closing = speed[i] - speed[k]
@@ -268,8 +320,8 @@ def merge(x, jump, is_step, y, label, since, met, n, t, law, work, log, logged):
                 label[i] = max(label[i], label[k])
             if as_step and label[i] > 0 and not known:
                 logged = note(log, logged, min(t, since[i], since[k]), label[i], -2.0, place)
-            y[i] = moved(y_of(v_right[k], law), place - x[k], law)
-            v_left[i] = v_of(moved(y_of(v_left[i], law), place - x[i], law), law)
+            y[i] = y_right[i] = moved(right[1], place - right[0], law)
+            v_left[i] = v_of(moved(left[1], place - left[0], law), law)
             v_right[i] = v_of(y[i], law)
             m[i] = r_of(v_left[i], law) + total - r_of(v_right[i], law) if as_step else 0.0
             x[i], jump[i], is_step[i] = place, total, as_step
@@ -277,139 +329,3 @@ def merge(x, jump, is_step, y, label, since, met, n, t, law, work, log, logged):
             speed[i] = speed[i] if is_step[i] else speed[k]
             k = i
     return k + 1, logged
-
-
-@compiled
-def transitions(x, jump, is_step, y, label, since, met, n, t, quantum, strong, law, work, log, logged, totals):
-    """Kinks that have become steps and the reverse, slopes that steps leave behind, births and exits.
-
-    Returns how many fronts there are and the rows logged. A kink becomes a step where W on its right has no room under
-    an infinite slope. A step slower than the steep slopes just above it lets them go: a front of strength `quantum`
-    leaves it to the right. `met` is when a front first merged: with a jump above `strong` it is a kink, born then.
-    `since` is when q becomes infinite midway through a front, by dR/dt = K (f - q f') from the moment at which it does
-    so on its right.
-    """
-    v_left, v_right, r_left, r_right, m, K, speed = work[0], work[1], work[2], work[3], work[4], work[5], work[6]
-    j = 0
-    while j < n:
-        if not is_step[j] and m[j] > 0.0:
-            is_step[j], y[j] = True, 0.0
-            if label[j] > 0:
-                logged = note(log, logged, t, label[j], -2.0, x[j])
-        elif is_step[j] and m[j] <= 0.0:
-            is_step[j] = False
-        elif label[j] == 0 and not is_step[j] and met[j] <= t and jump[j] > strong:
-            totals[3] += 1.0
-            label[j] = int(totals[3])
-            logged = note(log, logged, met[j], totals[3], 0.0, x[j] - (t - met[j]) * speed[j])
-        if is_step[j] and since[j] == np.inf:
-            over, v = r_left[j] + 0.5 * jump[j] - law.r_most, v_of_r(r_left[j] + 0.5 * jump[j], law)
-            since[j] = t - over / (K[j] * (f_of(v, law) - math.expm1(v) * at(law.df, law, v)))
-        if is_step[j] and r_right[j] + quantum < law.r_most and n < x.size:
-            v = v_of_r(r_right[j] + quantum, law)
-            if speed[j] < K[j] * at(law.df, law, v):
-                for i in range(n, j + 1, -1):
-                    x[i], jump[i], is_step[i], y[i] = x[i - 1], jump[i - 1], is_step[i - 1], y[i - 1]
-                    label[i], since[i], met[i] = label[i - 1], since[i - 1], met[i - 1]
-                    for row in range(7):
-                        work[row, i] = work[row, i - 1]
-                x[j + 1], jump[j + 1], is_step[j + 1], y[j + 1], label[j + 1] = x[j], -quantum, False, 0.0, 0
-                since[j + 1], met[j + 1] = np.inf, np.inf
-                v_left[j + 1], r_left[j + 1], m[j + 1] = v, r_right[j] + quantum, 0.0
-                jump[j] += quantum
-                v_right[j], r_right[j], y[j] = v, r_right[j] + quantum, y_of(v, law)
-                n += 1
-                j += 1
-        j += 1
-    logged = number_steps(x, is_step, label, since, n, t, strong, m, speed, log, logged, totals)
-    while n > 0 and x[n - 1] >= 0.0:
-        n -= 1
-        if is_step[n]:
-            totals[1] += m[n]  # what is above a step falls over the edge with it
-        if label[n] > 0:
-            logged = note(log, logged, t - x[n] / speed[n], label[n], -1.0, 0.0)
-    return n, logged
-
-
-@compiled
-def number_steps(x, is_step, label, since, n, t, strong, m, speed, log, logged, totals):
-    """Numbers steps that open in a smooth slope: of neighbours that do so together, one that outweighs the rest."""
-    j = 0
-    while j < n:
-        first, tallest, height, born = j, j, 0.0, np.inf
-        numbered = False
-        while j < n and is_step[j]:
-            numbered |= label[j] > 0
-            height += m[j]
-            born = min(born, since[j])
-            if m[j] > m[tallest]:
-                tallest = j
-            j += 1
-        if j > first and not numbered and m[tallest] > 0.5 * height and height > strong and t >= born:
-            totals[3] += 1.0
-            label[tallest] = int(totals[3])
-            born = min(born, t)
-            logged = note(log, logged, born, totals[3], -2.0, x[tallest] - (t - born) * speed[tallest])
-        j = max(j, first + 1)
-    return logged
-
-
-@compiled
-def advance(x, jump, is_step, y, label, since, met, n, t, end, reach, spacing, quantum, strong, law, work, log, totals):
-    """Classical Runge-Kutta steps to `end`, merging after each; otherwise as `kernels.fronts.advance`.
-
-    `log` takes rows (t, kink, into, x), into = 0 a birth, -1 an exit, -2 a blow-up. `totals` holds ∫(K_left - 1) dt,
-    ∫F(0) dt with the steps that left, the number of steps and the highest label. Returns n and the rows logged.
-    """
-    logged = 0
-    v_right, r_right, m, K = work[1], work[3], work[4], work[5]
-    k, d, xs, ys, dx, dy = work[6], work[7], work[8], work[9], work[10], work[11]
-    while t < end and n > 0:
-        top = top_front(x, n)
-        sweep(x, jump, is_step, y, n, top, law, work[0], v_right, work[2], r_right, m, K, k, d)
-        fastest, opening = 0.0, False
-        for j in range(n):
-            fastest = max(fastest, k[j])
-            opening |= label[j] == 0 and r_right[j] + 8.0 * abs(jump[j]) > law.r_most
-            dx[j] = dy[j] = 0.0
-        # where a smooth slope breaks fronts are crowded
-        dt = (CROWDED if opening else 1.0) * reach * spacing / fastest
-        if not dt > 1e-9 * end:
-            return n, -1
-        if dt >= end - t:
-            dt = end - t
-        elif 2.0 * dt > end - t:
-            dt = 0.5 * (end - t)
-        growth = outflow = 0.0
-        for stage in range(4):
-            if stage > 0:
-                part = 1.0 if stage == 3 else 0.5
-                for j in range(n):
-                    xs[j], ys[j] = x[j] + part * dt * k[j], y[j] + part * dt * d[j]
-                top = top_front(xs, n)
-                sweep(xs, jump, is_step, ys, n, top, law, work[0], v_right, work[2], r_right, m, K, k, d)
-            weight = dt / 3.0 if stage in (1, 2) else dt / 6.0
-            at_left, at_top = flows(xs if stage else x, top, v_right, m, K, law)
-            growth += weight * at_left
-            outflow += weight * at_top
-            for j in range(n):
-                dx[j] += weight * k[j]
-                dy[j] += weight * d[j]
-        for j in range(n):
-            x[j] += dx[j]
-            y[j] = max(y[j] + dy[j], 0.0)
-        totals[0] += growth
-        totals[1] += outflow
-        totals[2] += 1.0
-        t = end if dt == end - t else t + dt
-        top = top_front(x, n)
-        sweep(x, jump, is_step, y, n, top, law, work[0], v_right, work[2], r_right, m, K, k, d)
-        before = n
-        n, logged = merge(x, jump, is_step, y, label, since, met, n, t, law, work, log, logged)
-        if n < before:
-            top = top_front(x, n)
-            sweep(x, jump, is_step, y, n, top, law, work[0], v_right, work[2], r_right, m, K, k, d)
-        n, logged = transitions(
-            x, jump, is_step, y, label, since, met, n, t, quantum, strong, law, work, log, logged, totals
-        )
-    return n, logged
