@@ -176,14 +176,13 @@ class Bumps(Profile):
 
     def _check_slopes(self, right: float) -> None:
         """q by the formula, sampled finely around every bump: a cell mean can hide a narrow dip."""
-        if self.amplitudes[self.amplitudes < 0.0].sum() > -1.0:
-            return
         reach = self.widths[:, None] * np.linspace(-5, 5, 2001)
         x = np.minimum((self.centres[:, None] + reach).ravel(), right)
-        q = self.excess(x)
+        q = self.excess(x) if self.amplitudes[self.amplitudes < 0.0].sum() <= -1.0 else np.zeros(1)
         least = int(np.argmin(q))
         if q[least] <= -1:
-            raise InputError(f"q = {q[least]:.6g} at x = {x[least]:.6g}; q must be above -1 everywhere (u_x = 1 + q > 0)")
+            place = f"q = {q[least]:.6g} at x = {x[least]:.6g}"
+            raise InputError(f"{place}; q must be above -1 everywhere (u_x = 1 + q > 0)")
 
     def marks(self) -> Array:
         return (self.centres[:, None] + self.widths[:, None] * np.linspace(-6.0, 6.0, 25)).ravel()
