@@ -204,9 +204,10 @@ def advance(x, jump, label, since, smooth, n, t, end, control, r0, near, law, st
         if not fresh:
             speeds(x, jump, n, top_front(x, n), r0, near, law, r_left, r_right, K, k[0])
         growth0, outflow0 = K[0] - 1.0, outflow_at(x, top_front(x, n), r_right, law)
-        folds = 0.0
+        folds = most_eroded = 0.0
         for j in range(n):
-            folds = max(folds, k[0, j] * abs(law_q_f(r_right[j], law)[1]))
+            f = abs(law_q_f(r_right[j], law)[1])
+            folds, most_eroded = max(folds, k[0, j] * f), max(most_eroded, K[j] * f)
         control.step[0] = min(control.step[0], MOST_FOLDS / folds) if folds > 0.0 else control.step[0]
         while True:
             dt = control.step[0]
@@ -232,6 +233,7 @@ def advance(x, jump, label, since, smooth, n, t, end, control, r0, near, law, st
             speeds(new, jump, n, top_front(new, n), r0, near, law, r_left, r_right, K, k[4])
             error = motion_error(jump, n, k[3], k[4]) * dt / 6.0
             error += crossing_error(new, jump, n, r_left, r_right, K, law) * dt
+            error += exit_error(x, new, k[0], n, r_left, r_right, law) * most_eroded * dt * dt
             ratio = error / (control.allowed * dt)
             if ratio <= REJECTED:
                 factor = min(LONGER, 0.9 / math.sqrt(ratio)) if ratio > 0.0 else LONGER
@@ -263,6 +265,21 @@ def motion_error(jump, n, last, after):
         total += jump[j] * (last[j] - after[j])
         if not abs(total) <= largest:
             largest = abs(total)
+    return largest
+
+
+@compiled
+def exit_error(x, new, speed, n, r_left, r_right, law):
+    """The error of ln K, by the largest of the fronts that leave within a step, divided by the square of the step.
+
+    ∂_t ln K jumps by the front's speed times its jump of f, at a time that the stages of the step do not see.
+    """
+    largest = 0.0
+    j = n - 1
+    while j >= 0 and new[j] > 0.0:
+        change = abs(law_q_f(r_right[j], law)[1] - law_q_f(r_left[j], law)[1])
+        largest = max(largest, change * speed[j] / 12.0)
+        j -= 1
     return largest
 
 
