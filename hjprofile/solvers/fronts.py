@@ -82,7 +82,7 @@ class _Tracker(Tracker):
         """W and K at the nodes."""
         W, K = np.empty_like(nodes), np.empty_like(nodes)
         kernels.read(
-            self.x, self.jump, self.label, self.smooth, self.n, self.data.r0, self.near, self.table,
+            self.x, self.jump, self.label, self.smooth, self.n, self.data.area, self.data.r0, self.near, self.table,
             *self.work[:4], nodes, W, K,
         )  # fmt: skip
         return W, K

@@ -15,6 +15,7 @@ from hjprofile.solvers.kernels.law import law_decay, law_derivatives, law_f, law
 STEP_FLOOR = 1e-7  # of the way to a saved time: more steps than it allows, of 0.3 ms each, would take an hour, ...
 REJECTED = 4.0  # times the allowed error, from which on a step is repeated
 LONGER = 2.0  # times the step before, at most
+WIDE = 8.0  # times the area of a piece
 MOST_FOLDS = 2.0  # lengths 1/|f|, over which K changes by a factor e, that a front crosses in a step
 PATIENCE = 3000  # ... but the first ones can be much shorter than those after them
 
@@ -232,8 +233,8 @@ def advance(x, jump, label, since, smooth, n, t, end, control, r0, near, law, st
                 new[j] = x[j] + dt / 6.0 * (k[0, j] + 2.0 * (k[1, j] + k[2, j]) + k[3, j])
             speeds(new, jump, n, top_front(new, n), r0, near, law, r_left, r_right, K, k[4])
             error = motion_error(jump, n, k[3], k[4]) * dt / 6.0
-            error += crossing_error(new, jump, n, r_left, r_right, K, law) * dt
-            error += exit_error(x, new, k[0], n, r_left, r_right, law) * most_eroded * dt * dt
+            error += crossing_error(new, jump, n, r_left, r_right, K, law) / r0**2 * dt
+            error += exit_error(x, new, k[0], n, r_left, r_right, law) * most_eroded * r0 * dt * dt
             ratio = error / (control.allowed * dt)
             if ratio <= REJECTED:
                 factor = min(LONGER, 0.9 / math.sqrt(ratio)) if ratio > 0.0 else LONGER
@@ -316,12 +317,13 @@ def outflow_at(x, top, r_right, law):
 
 
 @compiled
-def read(x, jump, label, smooth, n, r0, near, law, r_left, r_right, slope, K, nodes, W_out, K_out):
+def read(x, jump, label, smooth, n, area, r0, near, law, r_left, r_right, slope, K, nodes, W_out, K_out):
     """W and K at `nodes` (increasing). Sweeps first.
 
     Between two fronts of a `smooth` stretch: cubic Hermite of W and ln K with the means of the one-sided q and f as
     slopes (second order; the pieces themselves would make q first order). Beside a kink its own one-sided values;
-    elsewhere the piece, which is exact, and so where the fronts are too far apart for the cubic to keep the range of q.
+    elsewhere the piece, which is exact, and so where the fronts are too far apart for the cubic: where it would leave
+    the range of q, or where a jump times the distance is more than WIDE times `area`.
     """
     sweep(x, jump, n, n - 1, r0, near, law, r_left, r_right, slope, K)
     W = 0.0  # at front j
@@ -337,8 +339,13 @@ def read(x, jump, label, smooth, n, r0, near, law, r_left, r_right, slope, K, no
         if j < 0:
             W_out[i], K_out[i] = 0.0, K[0] if n > 0 else 1.0
             continue
-        if j + 1 < n and smooth[j] and x[j + 1] > x[j]:
+        cubic = j + 1 < n and smooth[j] and x[j + 1] > x[j]
+        if cubic:
             h = x[j + 1] - x[j]
+            jumps = 0.0 if label[j] > 0 else abs(jump[j])
+            jumps = jumps if label[j + 1] > 0 else max(jumps, abs(jump[j + 1]))
+            cubic = h * jumps <= WIDE * area
+        if cubic:
             qa, fa = law_q_f(r_right[j], law)
             qb, fb = law_q_f(r_left[j + 1], law)
             W1 = I - r_left[j + 1]
@@ -353,7 +360,8 @@ def read(x, jump, label, smooth, n, r0, near, law, r_left, r_right, slope, K, no
                 least, most = min(least, q), max(most, q)
             mean = (W1 - W) / h
             turn = cubic_turn(qa, mean, qb)
-        if j + 1 < n and smooth[j] and x[j + 1] > x[j] and least <= turn <= most:
+            cubic = least <= turn <= most
+        if cubic:
             s = (nodes[i] - x[j]) / h
             value, slope_a, slope_b = s * s * (3.0 - 2.0 * s), h * s * (1.0 - s) ** 2, h * s * s * (s - 1.0)
             W_out[i] = W + (W1 - W) * value + slope_a * qa + slope_b * qb
