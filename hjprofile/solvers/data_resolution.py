@@ -98,23 +98,19 @@ def log_slope(q: Array) -> Array:
     return np.where(np.isfinite(v), v, 0.0)
 
 
-def compare_data(problem: Problem, sample: Sample, W: Array, ln_K: Array, falls: Array | None = None) -> Resolution:
+def compare_data(problem: Problem, sample: Sample, W: Array, ln_K: Array, area: float = 0.0) -> Resolution:
     """Return the errors of discretised data with W and ln K at the positions of the sample.
 
-    `falls`, shape (3, fronts), holds q⁻ > q⁺ and K of falls that one front carries. In a fan of the width
-    w = K (f'(q⁺) - f'(q⁻)) t, at most the slope's length, such a front is wrong by (q⁻ - q⁺) w/8 in W.
+    `area` is the largest product of a fall of I, which one front carries, with the width to which it opens as a fan.
+    Such a front is wrong by an eighth of the corresponding fall of q times the width in W.
     """
     off = W - sample.W
     off -= off[0]
     norm = float(np.abs(sample.q) @ np.diff(sample.x))
     flux = float(np.abs(ln_K - sample.ln_K).max())
     slope = float(np.abs(np.diff(off)).sum()) / norm if norm else 0.0
-    fall = 0.0
-    if falls is not None and falls.size:
-        before, after, K = falls
-        width = K * (problem.law.derivative(after) - problem.law.derivative(before)) * problem.end
-        wrong = float(np.max((before - after) * np.minimum(width, np.ptp(sample.x)))) / 8.0
-        fall = wrong / float(np.ptp(sample.W))
+    extent = float(np.ptp(sample.W)) * float(problem.law.R_derivative(0.0))
+    fall = area / (8.0 * extent) if extent else 0.0
     return Resolution(float(np.abs(off).max()), slope, flux, fall)
 
 

@@ -22,6 +22,7 @@ from hjprofile.solvers.vertical_steps import step_law
 FOLDS = 5000.0  # e-folds of K that are cut through: the time for a run grows with their square, 20 s for these
 FAN = 0.25  # largest fall of ln R across one front: stronger ones, where q changes its sign, run off towards q = -1
 NODES = 33
+SWALLOWED = 16.0  # distances to the nearest shock to which a fall opens at most
 FEWEST_IN_FAN = 4  # fronts of the fan of a stated jump
 PART = 1 / 32  # of the range of ln(1 + q), the largest change between two intervals of the sample
 MARKS = 0.25  # largest number of marks, as a part of the fronts: with more, weak ones are merged
@@ -137,11 +138,12 @@ def _placed(problem: Problem, left: float, fronts: int, breaks: Array) -> tuple[
         inside &= jumps
     marked = breaks[inside]
     many = marked.shape[0] > MARKS * fronts
-    need = _need(problem, sample, np.empty(0) if many else breaks[jumps, 0])
+    shocks = breaks[breaks[:, 2] > breaks[:, 1] + JUMP, 0]
+    need = _need(problem, sample, np.empty(0) if many else breaks[jumps, 0], shocks)
     s = np.append(0.0, np.cumsum(need * np.diff(sample.x)))
     total = float(s[-1])
     if not many:
-        total += float(_fans(problem, sample, *breaks[breaks[:, 1] > breaks[:, 2] + JUMP].T).need[:, -1].sum())
+        total += float(_fans(problem, sample, shocks, *breaks[breaks[:, 1] > breaks[:, 2] + JUMP].T).need[:, -1].sum())
     if not total > 0.0:
         return np.array([start]), sample, 0.0, breaks
     s *= fronts / total
@@ -161,7 +163,7 @@ def _placed(problem: Problem, left: float, fronts: int, breaks: Array) -> tuple[
     return _folded(problem, cuts), sample, total / fronts, np.concatenate([at_start, marked])
 
 
-def _need(problem: Problem, sample: Sample, jumps: Array) -> Array:
+def _need(problem: Problem, sample: Sample, jumps: Array, shocks: Array) -> Array:
     """Return the need of fronts per length between the positions of the sample; at `jumps` I has no derivative."""
     law, x, q = problem.law, sample.x, sample.q
     h = np.diff(x)
@@ -172,7 +174,7 @@ def _need(problem: Problem, sample: Sample, jumps: Array) -> Array:
         rate = np.abs(0.5 * (q[1:] + q[:-1]) + np.diff(law.R(q)) / between)
         parting = K * (np.diff(slope) / between - 0.5 * (f * slope)[1:] - 0.5 * (f * slope)[:-1])
         duration = np.minimum(_duration(problem, x[1:-1], q[1:], K), _duration(problem, x[1:-1], q[:-1], K))
-        longer = 1.0 + np.minimum(np.maximum(parting, 0.0) * duration, -x[1:-1] / between)
+        longer = 1.0 + np.minimum(np.maximum(parting, 0.0) * duration, _room(x[1:-1], shocks) / between)
         node = np.sqrt(rate * longer)
     known = np.isfinite(node) & ~np.isin(x[1:-1], jumps)
     node = np.where(known, node, 0.0)
@@ -180,7 +182,7 @@ def _need(problem: Problem, sample: Sample, jumps: Array) -> Array:
     return (np.append(0.0, node) + np.append(node, 0.0)) / np.maximum(count, 1.0)
 
 
-def _fans(problem: Problem, sample: Sample, x: Array, before: Array, after: Array) -> _Fans:
+def _fans(problem: Problem, sample: Sample, shocks: Array, x: Array, before: Array, after: Array) -> _Fans:
     """Return the fans at x, along q from `before` down to `after`."""
     law = problem.law
     part = np.linspace(0.0, 1.0, NODES)
@@ -188,9 +190,16 @@ def _fans(problem: Problem, sample: Sample, x: Array, before: Array, after: Arra
     K = np.exp(np.maximum(np.interp(x, sample.x, sample.ln_K), 0.0))[:, None]
     R, duration = law.R(q), _duration(problem, x[:, None], q, K)
     opening = np.maximum(K * np.diff(law.derivative(q)) * np.minimum(duration[:, 1:], duration[:, :-1]), 0.0)
-    opening *= np.minimum(1.0, -x[:, None] / np.maximum(opening.sum(axis=1, keepdims=True), 1e-300))
+    opening *= np.minimum(1.0, _room(x, shocks)[:, None] / np.maximum(opening.sum(axis=1, keepdims=True), 1e-300))
     need = np.cumsum(np.sqrt(-np.diff(R) * opening), axis=1)
     return _Fans(np.log(R), np.hstack([np.zeros((x.size, 1)), need]))
+
+
+def _room(x: Array, shocks: Array) -> Array:
+    """Return the largest width to which a fall at x opens, before it leaves or the nearest shock swallows it."""
+    at = np.searchsorted(shocks, x)
+    nearest = np.minimum(x - np.append(-np.inf, shocks)[at], np.append(shocks, np.inf)[at] - x)
+    return np.minimum(-x, SWALLOWED * nearest)
 
 
 def _duration(problem: Problem, x: Array, q: Array, K: Array) -> Array:
@@ -221,7 +230,8 @@ def _levels(
     stated = np.zeros(cuts.size, dtype=bool)
     stated[at] = True
     steep = np.flatnonzero(stated | (r_left > r_right) & (before > after))
-    fans = _fans(problem, sample, cuts[steep], before[steep], after[steep])
+    shocks = breaks[breaks[:, 2] > breaks[:, 1] + JUMP, 0]
+    fans = _fans(problem, sample, shocks, cuts[steep], before[steep], after[steep])
     level = fans.level
     # a front between two pieces falls from r to r, which are not those of the means
     top, foot = np.log(r_left[steep]), np.log(r_right[steep])

@@ -28,7 +28,7 @@ from hjprofile.solvers.kernels.exact_fronts import advance_exactly
 from hjprofile.solvers.kernels.law import LawTable, law_q_f
 from hjprofile.solvers.kernels.steps import StepLaw
 from hjprofile.solvers.run import Array, Run, VerticalStep, in_order
-from hjprofile.solvers.vertical_steps import REACH, WEAK, StepTracker, Tracker
+from hjprofile.solvers.vertical_steps import StepTracker, Tracker
 from hjprofile.solvers.whole_line import also_on_the_whole_line
 
 MOST = 1_000_000  # fronts: the time for a run grows with their square
@@ -95,12 +95,6 @@ class _Tracker(Tracker):
         right = self._sweep()[1]
         return float(law_q_f(right.min(), self.table)[0]) if self.n else 0.0
 
-    def falls(self) -> Array:
-        left, right, _, K = self._sweep()
-        strong = np.flatnonzero(np.log(left / right) > WEAK).tolist()
-        q = [(law_q_f(left[j], self.table)[0], law_q_f(right[j], self.table)[0], K[j]) for j in strong]
-        return np.array(q).reshape(-1, 3).T
-
     def _sides(self) -> Iterator[tuple[int, float, float, float]]:
         left, right, slope, K = self._sweep()
         for j in np.flatnonzero(self.label[: self.n] > 0).tolist():
@@ -129,7 +123,12 @@ def _proved(
     sample = data.sample
     W, K = tracker.read(read_only(sample.x))  # as the nodes of a grid are: one compiled form does for both
     with np.errstate(all="ignore"):
-        return tracker, compare_data(problem, sample, W, np.log(K), tracker.falls())
+        return tracker, compare_data(problem, sample, W, np.log(K), data.area)
+
+
+def resolution(problem: Problem, left: float, fronts: int) -> Resolution:
+    """Return the errors of the data that are cut into `fronts` fronts."""
+    return _begin(problem, left, fronts)[2]
 
 
 @also_on_the_whole_line

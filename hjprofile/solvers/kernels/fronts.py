@@ -15,6 +15,7 @@ from hjprofile.solvers.kernels.law import law_decay, law_derivatives, law_f, law
 STEP_FLOOR = 1e-7  # of the way to a saved time: more steps than it allows, of 0.3 ms each, would take an hour, ...
 REJECTED = 4.0  # times the allowed error, from which on a step is repeated
 LONGER = 2.0  # times the step before, at most
+CROSSED = 0.35
 WIDE = 8.0  # times the area of a piece
 MOST_FOLDS = 2.0  # lengths 1/|f|, over which K changes by a factor e, that a front crosses in a step
 PATIENCE = 3000  # ... but the first ones can be much shorter than those after them
@@ -233,7 +234,7 @@ def advance(x, jump, label, since, smooth, n, t, end, control, r0, near, law, st
                 new[j] = x[j] + dt / 6.0 * (k[0, j] + 2.0 * (k[1, j] + k[2, j]) + k[3, j])
             speeds(new, jump, n, top_front(new, n), r0, near, law, r_left, r_right, K, k[4])
             error = motion_error(jump, n, k[3], k[4]) * dt / 6.0
-            error += crossing_error(new, jump, n, r_left, r_right, K, law) / r0**2 * dt
+            error += crossing_error(new, jump, n, r_left, r_right, K, law) * CROSSED / r0**2 * dt
             error += exit_error(x, new, k[0], n, r_left, r_right, law) * most_eroded * r0 * dt * dt
             ratio = error / (control.allowed * dt)
             if ratio <= REJECTED:
