@@ -50,7 +50,7 @@ class _Tracker(Tracker):
         room = max(self.x.size, 1)
         super().__init__(self.jump, self.label, room)
         self.since = np.full(room, np.inf)
-        self.work, self.head = np.zeros((13 if exact else 15, room)), np.zeros(room, dtype=np.int64)
+        self.work, self.head = np.zeros((13 if exact else 16, room)), np.zeros(room, dtype=np.int64)
         self.near = 0.0 if exact else NEAR
         first = np.array([FIRST * math.sqrt(fronts.area)])
         self.control = kernels.Control(TIME * fronts.area / max(end, 1e-300), max(end, 1e-300), first)

@@ -200,7 +200,7 @@ def advance(x, jump, label, since, smooth, n, t, end, control, r0, near, law, st
     """
     logged = 0
     floor, short = STEP_FLOOR * (end - t), 0
-    k, y, new, r_left, r_right, K = work[:5], work[5], work[6], work[7], work[8], work[9]
+    k, y, new, r_left, r_right, K, eroded = work[:5], work[5], work[6], work[7], work[8], work[9], work[15]
     fresh = False  # k[0] and the sweep are those of x
     while t < end and n > 0:
         if not fresh:
@@ -209,6 +209,7 @@ def advance(x, jump, label, since, smooth, n, t, end, control, r0, near, law, st
         folds = most_eroded = 0.0
         for j in range(n):
             f = abs(law_q_f(r_right[j], law)[1])
+            eroded[j] = most_eroded
             folds, most_eroded = max(folds, k[0, j] * f), max(most_eroded, K[j] * f)
         control.step[0] = min(control.step[0], MOST_FOLDS / folds) if folds > 0.0 else control.step[0]
         while True:
@@ -234,7 +235,7 @@ def advance(x, jump, label, since, smooth, n, t, end, control, r0, near, law, st
                 new[j] = x[j] + dt / 6.0 * (k[0, j] + 2.0 * (k[1, j] + k[2, j]) + k[3, j])
             speeds(new, jump, n, top_front(new, n), r0, near, law, r_left, r_right, K, k[4])
             error = motion_error(jump, n, k[3], k[4]) * dt / 6.0
-            error += crossing_error(new, jump, n, r_left, r_right, K, law) * CROSSED / r0**2 * dt
+            error += crossing_error(new, jump, n, r_left, r_right, K, eroded, law) * CROSSED / r0**2 * dt
             error += exit_error(x, new, k[0], n, r_left, r_right, law) * most_eroded * r0 * dt * dt
             ratio = error / (control.allowed * dt)
             if ratio <= REJECTED:
@@ -250,7 +251,7 @@ def advance(x, jump, label, since, smooth, n, t, end, control, r0, near, law, st
         totals[2] += 1.0
         t = end if dt == end - t else t + dt
         before = n
-        n, logged = merge(x, jump, label, since, smooth, k[0], n, t, r_left, r_right, law, work[10:], head, log, logged)
+        n, logged = merge(x, jump, label, since, smooth, k[0], n, t, r_left, r_right, law, work[10:15], head, log, logged)
         fresh = n == before
         n, logged = note_events(x, jump, label, since, strong, k[0], n, t, log, logged, totals)
     return n, logged
@@ -286,25 +287,26 @@ def exit_error(x, new, speed, n, r_left, r_right, law):
 
 
 @compiled
-def crossing_error(x, jump, n, r_left, r_right, K, law):
+def crossing_error(x, jump, n, r_left, r_right, K, eroded, law):
     """The error of W, per unit of time, by fronts that have crossed and are not merged yet.
 
-    Two that overlap by a length d change ln K by their jumps' product times d.
+    Two that overlap by a length d change ln K on their left by their jumps' product times d, and are displaced by as
+    much times K f between them. `eroded` holds the largest K |f| left of each front.
     """
     total = 0.0
-    far, strength = x[0], abs(jump[0])
+    far, strength, beyond = x[0], abs(jump[0]), eroded[0]
     for j in range(1, n):
         if x[j] < far:
-            q, f = law_q_f(r_right[j], law)
-            total += strength * abs(jump[j]) * (far - x[j]) * K[j] * max(abs(f), abs(law_q_f(r_left[j], law)[1]))
+            flux = max(beyond, K[j] * abs(law_q_f(r_left[j], law)[1]))
+            total += strength * abs(jump[j]) * (far - x[j]) * flux
             strength += abs(jump[j])
         else:
-            far, strength = x[j], abs(jump[j])
+            far, strength, beyond = x[j], abs(jump[j]), eroded[j]
     far, strength = x[n - 1], abs(jump[n - 1])
     for j in range(n - 2, -1, -1):
         if x[j] > far:
-            q, f = law_q_f(r_right[j], law)
-            total += strength * abs(jump[j]) * (x[j] - far) * K[j] * max(abs(f), abs(law_q_f(r_left[j], law)[1]))
+            flux = max(eroded[j], K[j] * abs(law_q_f(r_right[j], law)[1]))
+            total += strength * abs(jump[j]) * (x[j] - far) * flux
             strength += abs(jump[j])
         else:
             far, strength = x[j], abs(jump[j])
