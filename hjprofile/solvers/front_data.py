@@ -23,6 +23,7 @@ FOLDS = 5000.0  # e-folds of K that are cut through: the time for a run grows wi
 FAN = 0.25  # largest fall of ln R across one front: stronger ones, where q changes its sign, run off towards q = -1
 NODES = 33
 SWALLOWED = 16.0  # distances to the nearest shock to which a fall opens at most
+LEAST = 0.1  # of |W_x| + |R_x|, the least |I_x| that is counted: where they cancel, pieces would be too long
 FEWEST_IN_FAN = 4  # fronts of the fan of a stated jump
 PART = 1 / 32  # of the range of ln(1 + q), the largest change between two intervals of the sample
 MARKS = 0.25  # largest number of marks, as a part of the fronts: with more, weak ones are merged
@@ -171,7 +172,8 @@ def _need(problem: Problem, sample: Sample, jumps: Array, shocks: Array) -> Arra
         between = 0.5 * (h[1:] + h[:-1])
         K = np.exp(np.maximum(sample.ln_K[1:-1], 0.0))
         f, slope = law.f(q), law.derivative(q)
-        rate = np.abs(0.5 * (q[1:] + q[:-1]) + np.diff(law.R(q)) / between)
+        decay, change = 0.5 * (q[1:] + q[:-1]), np.diff(law.R(q)) / between
+        rate = np.maximum(np.abs(decay + change), LEAST * (np.abs(decay) + np.abs(change)))
         parting = K * (np.diff(slope) / between - 0.5 * (f * slope)[1:] - 0.5 * (f * slope)[:-1])
         duration = np.minimum(_duration(problem, x[1:-1], q[1:], K), _duration(problem, x[1:-1], q[:-1], K))
         longer = 1.0 + np.minimum(np.maximum(parting, 0.0) * duration, _room(x[1:-1], shocks) / between)

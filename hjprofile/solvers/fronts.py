@@ -8,7 +8,6 @@ their number through the formation and the merging of shocks.
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable, Iterator
 
@@ -32,9 +31,10 @@ from hjprofile.solvers.vertical_steps import StepTracker, Tracker
 from hjprofile.solvers.whole_line import also_on_the_whole_line
 
 MOST = 1_000_000  # fronts: the time for a run grows with their square
-TIME = float(os.environ.get('TIME', 2.0))
-FIRST = 1.0
-NEAR = 0.05  # longest stretch for a Taylor series: its error (0.05)^4/24 is far below that of a front so far away
+TIME = 2.0  # times the area of a piece, the largest error that time steps may add: measured, a tenth of that in space
+SAVED = 0.02  # part of the time for which error that was not used is kept for later steps
+NEAR = 0.05  # longest stretch for a Taylor series, and ...
+NEAR_AREA = 0.1  # ... its fourth power, of the area of a piece: its error is then a 24th of that
 TOLERANCE = 1e-13  # of one step of the exact integration
 ROUNDING = 1e-10  # relative, of the budgets of the exact integration; measured 1.5e-12 on 2000 random scenes
 ROUGH = 3.0  # of the second-order allowances; measured 1.6 at worst on 300 random scenes of 50 jumps
@@ -51,9 +51,9 @@ class _Tracker(Tracker):
         super().__init__(self.jump, self.label, room)
         self.since = np.full(room, np.inf)
         self.work, self.head = np.zeros((13 if exact else 16, room)), np.zeros(room, dtype=np.int64)
-        self.near = 0.0 if exact else NEAR
-        first = np.array([FIRST * math.sqrt(fronts.area)])
-        self.control = kernels.Control(TIME * fronts.area / max(end, 1e-300), max(end, 1e-300), first)
+        self.near = 0.0 if exact else min(NEAR, (NEAR_AREA * fronts.area) ** 0.25)
+        first = np.array([math.sqrt(fronts.area), 0.0])
+        self.control = kernels.Control(TIME * fronts.area / max(end, 1e-300), max(end, 1e-300), SAVED * end, first)
 
     def advance(self, end: float) -> bool:
         """To the time `end`, if steps are not too small for that; merges, births and exits are noted."""
@@ -174,10 +174,10 @@ def track_and_prove(
     read = ROUNDING * scale
     allowed = dict.fromkeys(BOUNDS, (read, "rounding"))
     if not data.kinks_only:
-        second = read + ROUGH * data.spacing**2 * scale
+        second = read + ROUGH * data.area * scale
         allowed = dict.fromkeys(BOUNDS, (second, "second order in the spacing of fronts"))
         # F(0) is a sawtooth while small fronts leave, and its integral over a step first order
-        allowed["mass_budget"] = second + data.spacing * scale, "first order in the spacing of fronts"
+        allowed["mass_budget"] = second + math.sqrt(data.area) * scale, "first order in the spacing of fronts"
     if tracker.exact:
         allowed |= dict.fromkeys(("mass_budget", "volume_budget"), (read, "rounding"))
     watch = SnapshotBounds(grid, data.top, tracker.volume(), allowed, tracker.least())

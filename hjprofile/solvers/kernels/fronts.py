@@ -15,8 +15,8 @@ from hjprofile.solvers.kernels.law import law_decay, law_derivatives, law_f, law
 STEP_FLOOR = 1e-7  # of the way to a saved time: more steps than it allows, of 0.3 ms each, would take an hour, ...
 REJECTED = 4.0  # times the allowed error, from which on a step is repeated
 LONGER = 2.0  # times the step before, at most
-CROSSED = 0.35
-WIDE = 8.0  # times the area of a piece
+CROSSED = 0.35  # times the estimate by fronts that have crossed: measured, it is too large
+WIDE = 8.0  # times the area of a piece, up to which W between two fronts is read by a cubic
 MOST_FOLDS = 2.0  # lengths 1/|f|, over which K changes by a factor e, that a front crosses in a step
 PATIENCE = 3000  # ... but the first ones can be much shorter than those after them
 
@@ -181,11 +181,13 @@ class Control(NamedTuple):
     Attributes:
         allowed: error of W that a unit of time may add, by the motion between events and by fronts that merge late.
         longest: longest step.
-        step: the next step, shape (1,).
+        saved: longest time for which unused error is kept for later steps.
+        step: the next step and the time for which error is kept, shape (2,).
     """
 
     allowed: float
     longest: float
+    saved: float
     step: np.ndarray
 
 
@@ -237,8 +239,10 @@ def advance(x, jump, label, since, smooth, n, t, end, control, r0, near, law, st
             error = motion_error(jump, n, k[3], k[4]) * dt / 6.0
             error += crossing_error(new, jump, n, r_left, r_right, K, eroded, law) * CROSSED / r0**2 * dt
             error += exit_error(x, new, k[0], n, r_left, r_right, law) * most_eroded * r0 * dt * dt
-            ratio = error / (control.allowed * dt)
+            ratio = error / (control.allowed * (dt + control.step[1]))
             if ratio <= REJECTED:
+                saved = control.step[1] + dt - error / control.allowed
+                control.step[1] = min(max(saved, 0.0), control.saved)
                 factor = min(LONGER, 0.9 / math.sqrt(ratio)) if ratio > 0.0 else LONGER
                 if dt == control.step[0] or factor < 1.0:
                     control.step[0] = min(max(factor, 0.2) * dt, control.longest)
