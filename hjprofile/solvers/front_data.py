@@ -23,7 +23,7 @@ FOLDS = 5000.0  # e-folds of K that are cut through: the time for a run grows wi
 FAN = 0.25  # largest fall of ln R across one front: stronger ones, where q changes its sign, run off towards q = -1
 NODES = 33
 SWALLOWED = 16.0  # distances to the nearest shock to which a fall opens at most
-LEAST = 0.1  # of |W_x| + |R_x|, the least |I_x| that is counted: where they cancel, pieces would be too long
+LEAST = 0.3  # of |W_x| + |R_x|, the least |I_x| that is counted: where they cancel, pieces would be too long
 FEWEST_IN_FAN = 4  # fronts of the fan of a stated jump
 PART = 1 / 32  # of the range of ln(1 + q), the largest change between two intervals of the sample
 MARKS = 0.25  # largest number of marks, as a part of the fronts: with more, weak ones are merged
@@ -41,6 +41,7 @@ class Fronts:
         smooth: whether the piece right of a front stands for a stretch in which I varies.
         area: |change of I| times length of a piece, the same for all pieces of smooth data.
         spacing: mean length of the pieces, weighted by the change of I.
+        most_eroded: the largest |f|.
         r0: R(0), r on the far left.
         top: W at x = 0.
         sample: the profile on a fine sample, or None if the fronts are the data.
@@ -52,6 +53,7 @@ class Fronts:
     smooth: Array
     area: float
     spacing: float
+    most_eroded: float
     r0: float
     top: float
     sample: Sample | None = None
@@ -77,10 +79,10 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts,
     mass, h = np.diff(W), np.diff(ends)
     mean = np.divide(mass, h, out=np.zeros_like(mass), where=h > 0)
 
-    reached = np.concatenate([mean, breaks[:, 1:].ravel(), [0.0]])
-    ceiling = float(np.max(law.R(reached)) + np.ptp(W))
+    reached_q = np.concatenate([mean, breaks[:, 1:].ravel(), [0.0]])
+    ceiling = float(np.max(law.R(reached_q)) + np.ptp(W))
     # a front that jumps down lowers the q on its right a little where the exact fan would not
-    floor = (1.0 + float(np.min(reached))) / 8.0 - 1.0
+    floor = (1.0 + float(np.min(reached_q))) / 8.0 - 1.0
     table: LawTable | StepLaw
     table = step_law(law, floor) if law.grows_linearly else law_table(law, floor, _slope_at(law, 1.1 * ceiling))
     r0 = float(law.R(0.0))
@@ -116,7 +118,8 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts,
     spacing = min(spacing, LARGEST * float(law.R_derivative(0.0)))
     if sample is None:
         area = -float(cuts[0]) * float(np.abs(jump).sum()) / fronts**2
-    data = Fronts(cuts[owner], jumps, label[owner] * last, flags, area, spacing, r0, float(W[-1]), sample)
+    most_eroded = float(np.abs(law.f(reached_q)).max())
+    data = Fronts(cuts[owner], jumps, label[owner] * last, flags, area, spacing, most_eroded, r0, float(W[-1]), sample)
     return data, table
 
 
@@ -193,7 +196,7 @@ def _fans(problem: Problem, sample: Sample, shocks: Array, x: Array, before: Arr
     R, duration = law.R(q), _duration(problem, x[:, None], q, K)
     opening = np.maximum(K * np.diff(law.derivative(q)) * np.minimum(duration[:, 1:], duration[:, :-1]), 0.0)
     opening *= np.minimum(1.0, _room(x, shocks)[:, None] / np.maximum(opening.sum(axis=1, keepdims=True), 1e-300))
-    need = np.cumsum(np.sqrt(-np.diff(R) * opening), axis=1)
+    need = np.cumsum(np.sqrt(np.maximum(-np.diff(R), 0.0) * opening), axis=1)
     return _Fans(np.log(R), np.hstack([np.zeros((x.size, 1)), need]))
 
 

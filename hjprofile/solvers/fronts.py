@@ -31,8 +31,8 @@ from hjprofile.solvers.vertical_steps import StepTracker, Tracker
 from hjprofile.solvers.whole_line import also_on_the_whole_line
 
 MOST = 1_000_000  # fronts: the time for a run grows with their square
-TIME = 2.0  # times the area of a piece, the largest error that time steps may add: measured, a tenth of that in space
-SAVED = 0.02  # part of the time for which error that was not used is kept for later steps
+TIME = 1.0  # times the area of a piece, the largest error that time steps may add: measured, a tenth of that in space
+SAVED = 0.1  # part of the time for which error that was not used is kept for later steps
 NEAR = 0.05  # longest stretch for a Taylor series, and ...
 NEAR_AREA = 0.1  # ... its fourth power, of the area of a piece: its error is then a 24th of that
 TOLERANCE = 1e-13  # of one step of the exact integration
@@ -52,7 +52,7 @@ class _Tracker(Tracker):
         self.since = np.full(room, np.inf)
         self.work, self.head = np.zeros((13 if exact else 16, room)), np.zeros(room, dtype=np.int64)
         self.near = 0.0 if exact else min(NEAR, (NEAR_AREA * fronts.area) ** 0.25)
-        first = np.array([math.sqrt(fronts.area), 0.0])
+        first = np.array([math.sqrt(fronts.area), SAVED * end])
         self.control = kernels.Control(TIME * fronts.area / max(end, 1e-300), max(end, 1e-300), SAVED * end, first)
 
     def advance(self, end: float) -> bool:
@@ -177,6 +177,8 @@ def track_and_prove(
         second = read + ROUGH * data.area * scale
         allowed = dict.fromkeys(BOUNDS, (second, "second order in the spacing of fronts"))
         # F(0) is a sawtooth while small fronts leave, and its integral over a step first order
+        # u changes by -∫K f dt where the volume changes by ∫K dt
+        allowed["volume_budget"] = read + (second - read) / min(data.most_eroded, 1.0), allowed["volume_budget"][1]
         allowed["mass_budget"] = second + math.sqrt(data.area) * scale, "first order in the spacing of fronts"
     if tracker.exact:
         allowed |= dict.fromkeys(("mass_budget", "volume_budget"), (read, "rounding"))

@@ -16,9 +16,9 @@ STEP_FLOOR = 1e-7  # of the way to a saved time: more steps than it allows, of 0
 REJECTED = 4.0  # times the allowed error, from which on a step is repeated
 LONGER = 2.0  # times the step before, at most
 CROSSED = 0.35  # times the estimate by fronts that have crossed: measured, it is too large
-WIDE = 8.0  # times the area of a piece, up to which W between two fronts is read by a cubic
+WIDE = 64.0  # times the area of a piece, up to which W between two fronts is read by a cubic
 MOST_FOLDS = 2.0  # lengths 1/|f|, over which K changes by a factor e, that a front crosses in a step
-PATIENCE = 3000  # ... but the first ones can be much shorter than those after them
+PATIENCE = 10_000  # ... but the first ones can be much shorter than those after them
 
 
 @compiled
