@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-
 from typing import NamedTuple
+
 import numpy as np
 
 from hjprofile.errors import RunError
@@ -21,7 +21,7 @@ from hjprofile.solvers.vertical_steps import step_law
 
 FOLDS = 5000.0  # e-folds of K that are cut through: the time for a run grows with their square, 20 s for these
 FAN = 0.25  # largest fall of ln R across one front: stronger ones, where q changes its sign, run off towards q = -1
-NODES = 33
+NODES = 33  # of the path of q along a fan, on which its fronts are placed
 SWALLOWED = 16.0  # distances to the nearest shock to which a fall opens at most
 LEAST = 0.3  # of |W_x| + |R_x|, the least |I_x| that is counted: where they cancel, pieces would be too long
 FEWEST_IN_FAN = 4  # fronts of the fan of a stated jump
@@ -69,10 +69,10 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts,
     law, profile = problem.law, problem.profile
     breaks = profile.breaks(law)
     if isinstance(profile, Kinks):
-        cuts, sample, area = breaks[:, 0], None, 0.0  # set below
+        cuts, sample, quantum = breaks[:, 0], None, 0.0
     else:
         cuts, sample, quantum, breaks = _placed(problem, left, fronts, breaks)
-        area = quantum**2
+    area = quantum**2
     ends = np.append(cuts, 0.0)
     W = profile.W(ends, law)
     W -= W[0]
@@ -131,7 +131,10 @@ class _Fans(NamedTuple):
 
 
 def _placed(problem: Problem, left: float, fronts: int, breaks: Array) -> tuple[Array, Sample, float, Array]:
-    """Return the left ends of pieces, a fine sample of the profile, the needs, and the breaks that are cuts.
+    """Return the left ends of pieces, a fine sample of the profile, the need of a piece, and the breaks that are cuts.
+
+    Where more than a part MARKS of the fronts would be jumps, only the strongest jump of each piece is a cut, and the
+    others are merged: W stays exact at the ends of pieces, and `compare_data` bounds the error between them.
     """
     start = problem.profile.start(tail=1e-14)
     start = max(start, left) if np.isfinite(start) and start < 0.0 else left
@@ -168,7 +171,11 @@ def _placed(problem: Problem, left: float, fronts: int, breaks: Array) -> tuple[
 
 
 def _need(problem: Problem, sample: Sample, jumps: Array, shocks: Array) -> Array:
-    """Return the need of fronts per length between the positions of the sample; at `jumps` I has no derivative."""
+    """Return the need of fronts per length between the positions of the sample; at `jumps` I has no derivative.
+
+    A piece of the length h in which I changes by D errs by a multiple of h D, its area. Where characteristics part at
+    the rate λ_x it grows longer, by λ_x t. Pieces of equal area have the density sqrt(|I_x| (1 + λ_x t)).
+    """
     law, x, q = problem.law, sample.x, sample.q
     h = np.diff(x)
     with np.errstate(all="ignore"):
@@ -227,7 +234,6 @@ def _levels(
     A fall that needs more than one front is divided, whether the profile states a jump there or not. No front of it
     is stronger than FAN.
     """
-    law = problem.law
     falls = breaks[breaks[:, 1] > breaks[:, 2] + JUMP]
     at = np.searchsorted(cuts, falls[:, 0])
     before, after = np.append(0.0, mean[:-1]), mean.copy()

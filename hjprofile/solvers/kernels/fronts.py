@@ -86,7 +86,7 @@ def speeds(x, jump, n, top, r0, near, law, r_left, r_right, K, speed):
 def meeting(xa, ra, xb, rb, jump, span, law):
     """Where the piece left of front a and the piece right of front b have the same W; `jump` is I_b - I_a between them.
 
-    There a merged front keeps W continuous and the mass to its right unchanged. All fronts that merge lie within `span`.
+    There a merged front keeps W continuous and the mass to its right unchanged. `span` is the extent of all that merge.
     """
     if law.f.shape[0] == 0:
         # 1 + (rb-1) e^{-(x-xb)} - 1 - (ra-1) e^{-(x-xa)} = jump; distances from the middle
@@ -255,7 +255,9 @@ def advance(x, jump, label, since, smooth, n, t, end, control, r0, near, law, st
         totals[2] += 1.0
         t = end if dt == end - t else t + dt
         before = n
-        n, logged = merge(x, jump, label, since, smooth, k[0], n, t, r_left, r_right, law, work[10:15], head, log, logged)
+        n, logged = merge(
+            x, jump, label, since, smooth, k[0], n, t, r_left, r_right, law, work[10:15], head, log, logged
+        )
         fresh = n == before
         n, logged = note_events(x, jump, label, since, strong, k[0], n, t, log, logged, totals)
     return n, logged
