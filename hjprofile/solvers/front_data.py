@@ -21,6 +21,7 @@ from hjprofile.solvers.vertical_steps import step_law
 
 FOLDS = 5000.0  # e-folds of K that are cut through: the time for a run grows with their square, 20 s for these
 FAN = 0.25  # largest fall of ln R across one front: stronger ones, where q changes its sign, run off towards q = -1
+FLAT = 1e-10  # largest |q| of the critical slope
 NODES = 33  # of the path of q along a fan, on which its fronts are placed
 SWALLOWED = 16.0  # distances to the nearest shock to which a fall opens at most
 LEAST = 0.3  # of |W_x| + |R_x|, the least |I_x| that is counted: where they cancel, pieces would be too long
@@ -161,7 +162,11 @@ def _placed(problem: Problem, left: float, fronts: int, breaks: Array) -> tuple[
         first = order[np.append(True, np.diff(piece[order]) > 0)]
         marked = marked[np.sort(first)]
     at_start = breaks[breaks[:, 0] == start]
-    marks = np.concatenate([[start], marked[:, 0], [0.0]])
+    # the critical slope on the right begins with an end of a piece, lest the last piece reach into it
+    sloping = np.flatnonzero(np.abs(sample.q) > FLAT)
+    ends = sample.x[sloping[-1:] + 1]
+    ends = ends[ends > start]
+    marks = np.unique(np.concatenate([[start], marked[:, 0], ends, [0.0]]))
     at = np.interp(marks, sample.x, s)
     parts = np.maximum(np.round(np.diff(at)), 1).astype(int)
     cuts = np.interp(divided(at, parts), s, sample.x)
