@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 import hjprofile as hj
 from hjprofile.problem.case import shipped_cases
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink
-from hjprofile.solvers.fronts import _Tracker, cut_into_fronts
+from hjprofile.solvers.front_data import FAN, cut_into_fronts
+from hjprofile.solvers.fronts import _Tracker
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels.exact_fronts import narrowed
 from hjprofile.solvers.kernels.law import law_decay, law_q_f
@@ -81,8 +82,8 @@ def test_second_order_where_all_is_smooth():
         off = hj.track_fronts(problem, grid, n).u[-1] - grid.nodes - W(grid.nodes)
         sup.append(np.abs(off).max())
         l1.append(np.abs(np.diff(off)).sum())
-    assert 1.9 <= hj.observed_order(counts, sup) <= 2.1 and sup[2] <= 5e-6
-    assert 1.9 <= hj.observed_order(counts, l1) <= 2.3 and l1[2] <= 3e-5
+    assert 1.9 <= hj.observed_order(counts, sup) <= 2.1 and sup[2] <= 1.5e-6
+    assert 1.8 <= hj.observed_order(counts, l1) <= 2.3 and l1[2] <= 1.5e-5
 
 
 @pytest.mark.parametrize("law", ["rational", "log", "power"])
@@ -97,10 +98,10 @@ def test_second_order_through_the_birth_of_shocks(law):
         off = hj.track_fronts(problem, grid, n).u[-1] - finest.u[-1]
         sup.append(np.abs(off).max())
         l1.append(np.abs(np.diff(off)).sum())
-    assert 1.8 <= hj.observed_order(counts, sup) <= 2.3
+    assert 1.8 <= hj.observed_order(counts, sup) <= 2.5
     assert 1.75 <= hj.observed_order(counts, l1) <= 2.4
     if law.name == "rational":
-        assert sup[-1] <= 2e-5 and l1[-1] <= 1e-4
+        assert sup[-1] <= 2.5e-6 and l1[-1] <= 2e-5
 
 
 def test_agrees_with_extrapolated_godunov():
@@ -161,9 +162,8 @@ def test_kink_into_the_steady_slope():
 def test_a_kink_that_swallows_fronts_of_the_other_sign():
     case = hj.load_case("deposit")
     off = [hj.track_fronts(case.problem, case.grid, n).volume_budget_error for n in (200, 400, 800, 1600)]
-    # Measured 2e-5 to 1e-6, jittering with where in a step the fronts meet. Merged between the two, where fronts of
-    # opposite sign have no right to be, they leave 2.9e-3 to 3.6e-4.
-    assert max(off) <= 5e-5 and off[-1] <= 5e-6
+    # Merged between the two, where fronts of opposite sign have no right to be, they leave 2.9e-3 to 3.6e-4.
+    assert max(off) <= 5e-5 and off[-1] <= 1e-5
 
 
 def test_births_and_merges_of_the_hillslope_do_not_depend_on_the_number_of_fronts():
@@ -229,7 +229,7 @@ def test_a_fan_across_the_critical_slope_does_not_run_away():
     problem = hj.Problem(hj.power(3.0), profile, end=0.5, snapshots=4)
     for n in (10, 20, 40):  # cut as coarsely as so few fronts suggest, 10 stop and 20 fall to q = -0.877
         run = hj.track_fronts(problem, hj.Grid(-5.0, 400), n, exact=True)
-        assert run.done and run.q.min() >= -0.791 and run.volume_budget_error <= 1e-10
+        assert run.done and run.q.min() >= -0.8 and run.volume_budget_error <= 1e-10
 
 
 def test_many_kinks_that_thicken_the_avalanche_ten_billion_times():
@@ -288,12 +288,54 @@ def test_flat_slope_and_a_kink_at_the_very_top():
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_outflow_at_the_crest_is_of_fourth_order_in_time(law):
-    """Kinks by Runge-Kutta steps, in space exact: ∫F(0) dt is the lowering of the crest."""
+def test_steps_follow_their_error(law):
+    """Kinks by Runge-Kutta steps, in space exact: ∫F(0) dt is the lowering of the crest, to the area of a piece."""
     problem = hj.Problem(LAWS[law][0], hj.kinks([-6.0, -3.0], [1.0, 0.5]), end=2.0, snapshots=2)
-    run = hj.track_fronts(problem, hj.Grid(-7.0, 100), 400, exact=False)
-    assert 20 <= run.steps <= 100 and run.outflow > 0.02
-    assert run.outflow == pytest.approx(run.u[0, -1] - run.u[-1, -1], abs=1e-8)  # measured 8e-10 and less
+    for fronts, most_steps, most in ((400, 20, 1e-4), (40_000, 200, 1e-7)):
+        run = hj.track_fronts(problem, hj.Grid(-7.0, 100), fronts, exact=False)
+        assert run.steps <= most_steps and run.outflow > 0.02
+        assert run.outflow == pytest.approx(run.u[0, -1] - run.u[-1, -1], abs=most)  # measured 4e-5 and 4e-8
+
+
+def test_fronts_are_where_the_error_needs_them():
+    """A narrow bump far from the crest: its fronts do not depend on the length of the slope; none where q = 0."""
+    for centre in (-5.0, -900.0):
+        problem = hj.Problem(hj.rational(), hj.bumps([0.8], [centre], [0.3]), end=0.5, snapshots=2)
+        data, _ = cut_into_fronts(problem, centre - 50.0, 200)
+        assert 190 <= data.x.size <= 210 and np.abs(data.x - centre).max() <= 3.0
+    run, exact = (f(problem, hj.Grid(-950.0, 2000), n) for f, n in ((hj.track_fronts, 200), (hj.track_fronts, 1600)))
+    assert np.abs(run.u - exact.u).max() <= 5e-5
+
+
+def test_a_thinned_survey_keeps_its_profile():
+    """20,000 points of a smooth slope do not make 20,000 fronts."""
+    x = np.linspace(-10.0, 0.0, 20_000)
+    q = 0.6 * np.exp(-((x + 3.0) ** 2)) - 0.3 * np.exp(-(((x + 6.0) / 1.2) ** 2))
+    problem = hj.Problem(hj.rational(), hj.points(x, q), end=2.0, snapshots=2)
+    data, table = cut_into_fronts(problem, -12.0, 400)
+    assert data.x.size <= 450
+    W, _ = _Tracker(data, table, exact=False).read(data.sample.x)
+    assert np.abs(W - data.sample.W + data.sample.W[0]).max() <= 2.0 * data.area
+    run = hj.solve(problem, 1e-3, hj.Grid(-12.0, 500))
+    assert run.method == "fronts" and run.error_estimate <= 1e-3
+
+
+def test_no_front_falls_steeply():
+    """Random steps and steep continuous falls: W as in the profile, and every fall as weak as that of a fan's front."""
+    rng = np.random.default_rng(8)
+    for i in range(12):
+        law = (hj.rational(), hj.log(), hj.power(3.0))[i % 3]
+        if i % 2:
+            problem = random_steps(rng, law)
+        else:
+            x = np.cumsum(10 ** rng.uniform(-6, 0, 8)) - 9.0
+            problem = hj.Problem(law, hj.points(x, [0, *rng.uniform(-0.8, 3.0, 6), 0]), end=1.0, snapshots=2)
+        data, table = cut_into_fronts(problem, -10.5, 300)
+        tracker = _Tracker(data, table, exact=False)
+        left, right, _, _ = tracker._sweep()
+        assert np.max(np.log(left / right)) <= 1.2 * FAN  # the mean of a piece is not its end
+        W, _ = tracker.read(data.sample.x)
+        assert np.abs(W - data.sample.W + data.sample.W[0]).max() <= 4.0 * data.area + 1e-9
 
 
 def test_the_root_of_an_event_takes_few_evaluations():

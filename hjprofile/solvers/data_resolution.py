@@ -20,11 +20,12 @@ FALL = 0.05  # largest error by an expansion shock, as a part of the range of W
 
 
 class Sample(NamedTuple):
-    """A profile at places x, shape (n,), W = u - x there, and the means q between them, shape (n - 1,)."""
+    """A profile at places x, shape (n,), W = u - x and ln K there, and the means q between them, shape (n - 1,)."""
 
     x: Array
     W: Array
     q: Array
+    ln_K: Array
 
 
 class Resolution(NamedTuple):
@@ -72,22 +73,22 @@ def fine_sample(
     profile, law = problem.profile, problem.law
     breaks, stated = profile.breaks(law)[:, 0], profile.marks()
     even = np.linspace(left, right, (FINE if stated is None else COARSE) + 1)
-    marks = _apart([even, breaks] if stated is None else [even, breaks, stated], left, right)
+    marks = apart([even, breaks] if stated is None else [even, breaks, stated], left, right)
     if stated is not None:
         marks = divided(marks, np.full(marks.size - 1, PARTS))
-    x = marks if also is None else _apart([marks, also], left, right)
+    x = marks if also is None else apart([marks, also], left, right)
     while True:
         W = profile.W(x, law)
         q = np.diff(W) / np.diff(x)
         if part == np.inf:
-            return Sample(x, W, q)
+            return Sample(x, W, q, _ln_K(problem, x, q))
         v = log_slope(q)
-        apart = np.abs(np.diff(v))
-        apart[np.isin(x[1:-1], breaks)] = 0.0
+        change = np.abs(np.diff(v))
+        change[np.isin(x[1:-1], breaks)] = 0.0
         allowed, part = part * float(np.ptp(np.append(v, 0.0))), np.inf
         if allowed > 0.0:
-            parts = np.ceil(np.maximum(np.append(apart, 0.0), np.append(0.0, apart)) / allowed)
-            x = _apart([divided(x, np.clip(parts, 1, MOST_PARTS).astype(int))], left, right)
+            parts = np.ceil(np.maximum(np.append(change, 0.0), np.append(0.0, change)) / allowed)
+            x = apart([divided(x, np.clip(parts, 1, MOST_PARTS).astype(int))], left, right)
 
 
 def log_slope(q: Array) -> Array:
@@ -97,23 +98,19 @@ def log_slope(q: Array) -> Array:
     return np.where(np.isfinite(v), v, 0.0)
 
 
-def compare_data(problem: Problem, sample: Sample, W: Array, ln_K: Array, falls: Array | None = None) -> Resolution:
+def compare_data(problem: Problem, sample: Sample, W: Array, ln_K: Array, area: float = 0.0) -> Resolution:
     """Return the errors of discretised data with W and ln K at the positions of the sample.
 
-    `falls`, shape (3, fronts), holds q⁻ > q⁺ and K of falls that one front carries. In a fan of the width
-    w = K (f'(q⁺) - f'(q⁻)) t, at most the slope's length, such a front is wrong by (q⁻ - q⁺) w/8 in W.
+    `area` is the largest product of a fall of I, which one front carries, with the width to which it opens as a fan.
+    Such a front is wrong by an eighth of the corresponding fall of q times the width in W.
     """
     off = W - sample.W
     off -= off[0]
     norm = float(np.abs(sample.q) @ np.diff(sample.x))
-    flux = float(np.abs(ln_K - _ln_K(problem, sample.x, sample.q)).max())
+    flux = float(np.abs(ln_K - sample.ln_K).max())
     slope = float(np.abs(np.diff(off)).sum()) / norm if norm else 0.0
-    fall = 0.0
-    if falls is not None and falls.size:
-        before, after, K = falls
-        width = K * (problem.law.derivative(after) - problem.law.derivative(before)) * problem.end
-        wrong = float(np.max((before - after) * np.minimum(width, np.ptp(sample.x)))) / 8.0
-        fall = wrong / float(np.ptp(sample.W))
+    extent = float(np.ptp(sample.W)) * float(problem.law.R_derivative(0.0))
+    fall = area / (8.0 * extent) if extent else 0.0
     return Resolution(float(np.abs(off).max()), slope, flux, fall)
 
 
@@ -133,7 +130,7 @@ def _ln_K(problem: Problem, x: Array, q: Array) -> Array:
         return np.append(np.cumsum((problem.law.f(q) * np.diff(x))[::-1])[::-1], 0.0)
 
 
-def _apart(places: list[Array], left: float, right: float) -> Array:
+def apart(places: list[Array], left: float, right: float) -> Array:
     """Return all positions on [left, right], increasing, without those that are too near the one before."""
     x = np.unique(np.clip(np.concatenate(places), left, right))
     return x[np.append(True, np.diff(x) > NEAREST * (1.0 + abs(left)))]

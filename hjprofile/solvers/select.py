@@ -20,7 +20,7 @@ from hjprofile.problem.profiles import Bumps, Kinks
 from hjprofile.solvers import closed_forms
 from hjprofile.solvers.characteristics import FINEST, READ, solve_characteristics
 from hjprofile.solvers.data_resolution import Resolution, cells_resolve
-from hjprofile.solvers.fronts import track_and_prove, track_fronts
+from hjprofile.solvers.fronts import resolution, track_and_prove, track_fronts
 from hjprofile.solvers.moving_labels import LABEL, TOO_LONG, TRY
 from hjprofile.solvers.run import Array, Run
 from hjprofile.solvers.units_of_the_law import Units
@@ -34,8 +34,9 @@ Progress = Callable[[float], None]
 SAFETY, FEW = 1.3, 300
 AIM = 0.6  # part of the tolerance that the next resolution is to reach
 PILOT, MOST_PILOT = 64, 1024  # fronts; more where these get through no better
-USUAL, MOST_GUESS = 350.0, 500  # estimates times the square of fronts in ordinary scenes; no larger pilot for that
+USUAL, MOST_GUESS = 30.0, 500  # estimates times the square of fronts in ordinary scenes; no larger pilot for that
 PER_BREAK = 4  # fronts of the pilot for each corner or jump: fewer tell two resolutions apart only in name
+MANY_BREAKS = 60  # from which on fronts merge the weaker ones
 APART = 1.6, 2.6  # least and largest ratio of two resolutions for an estimate; larger ones do for a forecast
 MOST_FRONTS = 25600
 # Seconds, where they were measured, of a step of one front under a rational law and under others
@@ -249,9 +250,16 @@ class _Ladder:
 
     def pilot(self) -> float:
         """How many fronts the tolerance takes; inf if the pilot does not get through."""
-        breaks = len(self.search.problem.profile.breaks(self.search.problem.law))
-        fronts = max(PILOT, PER_BREAK * breaks, int(min(np.sqrt(USUAL / self.search.tolerance), MOST_GUESS)))
-        while fronts <= max(MOST_PILOT, PER_BREAK * breaks):
+        problem = self.search.problem
+        breaks = len(problem.profile.breaks(problem.law))
+        fronts = max(
+            PILOT, PER_BREAK * min(breaks, MANY_BREAKS), int(min(np.sqrt(USUAL / self.search.tolerance), MOST_GUESS))
+        )
+        most = max(MOST_PILOT, 2 * PER_BREAK * breaks)
+        while fronts <= most:
+            if not self._resolves(fronts // 2):
+                fronts *= 2
+                continue
             if self._run(fronts // 2) and (run := self._run(fronts, last=True)):
                 self.first, self.whole = fronts, run
                 needed = self._needed(fronts)
@@ -263,6 +271,16 @@ class _Ladder:
                 return needed
             fronts *= 2
         return np.inf
+
+    def _resolves(self, fronts: int) -> bool:
+        """Return whether so many fronts represent the profile."""
+        try:
+            if resolution(self.search.problem, self.search.grid.left, fronts).holds:
+                return True
+            self.search.failed.append(f"{fronts} fronts do not resolve the profile")
+        except RunError as error:
+            self.search.failed.append(f"{fronts} fronts {str(error).partition('; use')[0]}")
+        return False
 
     def _needed(self, fronts: int) -> float:
         """How many the tolerance takes, by the error with so many."""

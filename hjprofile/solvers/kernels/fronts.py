@@ -5,12 +5,20 @@ Stretches over which a tabulated law hardly changes, h (1 + |f|) <= `near`, are 
 """
 
 import math
+from typing import NamedTuple
+
+import numpy as np
 
 from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.law import law_decay, law_derivatives, law_f, law_flow, law_q_f
 
 STEP_FLOOR = 1e-7  # of the way to a saved time: more steps than it allows, of 0.3 ms each, would take an hour, ...
-PATIENCE = 3000  # ... but the first ones can be much shorter than those after them
+REJECTED = 4.0  # times the allowed error, from which on a step is repeated
+LONGER = 2.0  # times the step before, at most
+CROSSED = 0.35  # times the estimate by fronts that have crossed: measured, it is too large
+WIDE = 64.0  # times the area of a piece, up to which W between two fronts is read by a cubic
+MOST_FOLDS = 2.0  # lengths 1/|f|, over which K changes by a factor e, that a front crosses in a step
+PATIENCE = 10_000  # ... but the first ones can be much shorter than those after them
 
 
 @compiled
@@ -75,10 +83,10 @@ def speeds(x, jump, n, top, r0, near, law, r_left, r_right, K, speed):
 
 
 @compiled
-def meeting(xa, ra, xb, rb, jump, law):
+def meeting(xa, ra, xb, rb, jump, span, law):
     """Where the piece left of front a and the piece right of front b have the same W; `jump` is I_b - I_a between them.
 
-    There a merged front keeps W continuous and the mass to its right unchanged.
+    There a merged front keeps W continuous and the mass to its right unchanged. `span` is the extent of all that merge.
     """
     if law.f.shape[0] == 0:
         # 1 + (rb-1) e^{-(x-xb)} - 1 - (ra-1) e^{-(x-xa)} = jump; distances from the middle
@@ -99,7 +107,7 @@ def meeting(xa, ra, xb, rb, jump, law):
                 break
     # Between xa and xb if both fronts jump the same way, outside if they do not; a front whose net jump vanishes has no
     # place of its own.
-    m, most = 0.5 * (xa + xb), 20.0 * abs(xa - xb)
+    m, most = 0.5 * (xa + xb), 20.0 * span
     return min(max(x, m - most), m + most) if x == x else m
 
 
@@ -128,7 +136,10 @@ def merge(x, jump, label, since, smooth, speed, n, t, r_left, r_right, law, merg
             other, closing, overlap = int(merged[2, m]), merged[4, m] - vj, merged[0, m] - xj
             dj += merged[1, m]
             sj = min(sj, merged[3, m], t)
-            xj = meeting(x[first], r_left[first], x[j], r_right[j], dj, law)
+            left = right = x[j]
+            for i in range(first, j):
+                left, right = min(left, x[i]), max(right, x[i])
+            xj = meeting(x[first], r_left[first], x[j], r_right[j], dj, right - left, law)
             if other > 0 and lj > 0:
                 ago = overlap / closing if closing > 0.0 else 0.0
                 logged = note(log, logged, t - ago, max(lj, other), min(lj, other), xj - ago * vj)
@@ -164,54 +175,148 @@ def note_events(x, jump, label, since, strong, speed, n, t, log, logged, totals)
     return n, logged
 
 
+class Control(NamedTuple):
+    """Control of the time step.
+
+    Attributes:
+        allowed: error of W that a unit of time may add, by the motion between events and by fronts that merge late.
+        longest: longest step.
+        saved: longest time for which unused error is kept for later steps.
+        step: the next step and the time for which error is kept, shape (2,).
+    """
+
+    allowed: float
+    longest: float
+    saved: float
+    step: np.ndarray
+
+
 @compiled
-def advance(x, jump, label, since, smooth, n, t, end, reach, spacing, r0, near, law, strong, work, head, log, totals):
+def advance(x, jump, label, since, smooth, n, t, end, control, r0, near, law, strong, work, head, log, totals):
     """Classical Runge-Kutta steps to `end` for the first n fronts, merging after each step and dropping those at x > 0.
 
-    A step takes no front further than `reach` spacings, or as many pieces where these are shorter, at most half a
-    length 1/|f| over which K changes. `totals` holds ∫(K_left - 1) dt, ∫F(0) dt, the number of
-    steps and the highest label. Returns n and the number of rows in `log`: (t, kink, into, x), into = 0 a birth, -1 an
-    exit; -1 rows where PATIENCE steps fall below STEP_FLOOR of the way to `end`.
+    Steps are as long as `control` allows: their error is `motion_error` and, of fronts that have crossed,
+    `crossing_error`. `totals` holds ∫(K_left - 1) dt, ∫F(0) dt, the number of steps and the highest label. Returns n
+    and the number of rows in `log`: (t, kink, into, x), into = 0 a birth, -1 an exit; -1 rows where PATIENCE steps fall
+    below STEP_FLOOR of the way to `end`.
     """
     logged = 0
     floor, short = STEP_FLOOR * (end - t), 0
-    k, y, r_left, r_right, K = work[:4], work[4], work[5], work[6], work[7]
-    speed = k[0]
+    k, y, new, r_left, r_right, K, eroded = work[:5], work[5], work[6], work[7], work[8], work[9], work[15]
+    fresh = False  # k[0] and the sweep are those of x
     while t < end and n > 0:
-        speeds(x, jump, n, top_front(x, n), r0, near, law, r_left, r_right, K, speed)
-        fastest = 0.0
+        if not fresh:
+            speeds(x, jump, n, top_front(x, n), r0, near, law, r_left, r_right, K, k[0])
+        growth0, outflow0 = K[0] - 1.0, outflow_at(x, top_front(x, n), r_right, law)
+        folds = most_eroded = 0.0
         for j in range(n):
-            folds = spacing * abs(law_q_f(r_right[j], law)[1])
-            fastest = max(fastest, speed[j] * max(1.0, 2.0 * folds))
-        dt = reach * spacing / fastest
-        if not dt > floor:  # K is without bound below a slope with q near -1
-            short += 1
-            if short > PATIENCE or not dt > 0.0:
-                return n, -1
-        if dt >= end - t:
-            dt = end - t
-        elif 2.0 * dt > end - t:
-            dt = 0.5 * (end - t)
-        growth = outflow = 0.0
-        for stage in range(4):
-            if stage > 0:
+            f = abs(law_q_f(r_right[j], law)[1])
+            eroded[j] = most_eroded
+            folds, most_eroded = max(folds, k[0, j] * f), max(most_eroded, K[j] * f)
+        control.step[0] = min(control.step[0], MOST_FOLDS / folds) if folds > 0.0 else control.step[0]
+        while True:
+            dt = control.step[0]
+            if not dt > floor:  # K is without bound below a slope with q near -1
+                short += 1
+                if short > PATIENCE or not dt > 0.0:
+                    return n, -1
+            if dt >= end - t:
+                dt = end - t
+            elif 2.0 * dt > end - t:
+                dt = 0.5 * (end - t)
+            growth, outflow = growth0, outflow0
+            for stage in range(1, 4):
                 part = dt if stage == 3 else 0.5 * dt
                 for j in range(n):
                     y[j] = x[j] + part * k[stage - 1, j]
                 speeds(y, jump, n, top_front(y, n), r0, near, law, r_left, r_right, K, k[stage])
-            weight, at = 2.0 if stage in (1, 2) else 1.0, y if stage > 0 else x
-            growth += weight * (K[0] - 1.0)
-            outflow += weight * outflow_at(at, top_front(at, n), r_right, law)
+                weight = 1.0 if stage == 3 else 2.0
+                growth += weight * (K[0] - 1.0)
+                outflow += weight * outflow_at(y, top_front(y, n), r_right, law)
+            for j in range(n):
+                new[j] = x[j] + dt / 6.0 * (k[0, j] + 2.0 * (k[1, j] + k[2, j]) + k[3, j])
+            speeds(new, jump, n, top_front(new, n), r0, near, law, r_left, r_right, K, k[4])
+            error = motion_error(jump, n, k[3], k[4]) * dt / 6.0
+            error += crossing_error(new, jump, n, r_left, r_right, K, eroded, law) * CROSSED / r0**2 * dt
+            error += exit_error(x, new, k[0], n, r_left, r_right, law) * most_eroded * r0 * dt * dt
+            ratio = error / (control.allowed * (dt + control.step[1]))
+            if ratio <= REJECTED:
+                saved = control.step[1] + dt - error / control.allowed
+                control.step[1] = min(max(saved, 0.0), control.saved)
+                factor = min(LONGER, 0.9 / math.sqrt(ratio)) if ratio > 0.0 else LONGER
+                if dt == control.step[0] or factor < 1.0:
+                    control.step[0] = min(max(factor, 0.2) * dt, control.longest)
+                break
+            control.step[0] = dt * max(0.2, 0.9 / math.sqrt(ratio)) if ratio == ratio else 0.1 * dt
         for j in range(n):
-            x[j] += dt / 6.0 * (k[0, j] + 2.0 * (k[1, j] + k[2, j]) + k[3, j])
+            x[j], k[0, j] = new[j], k[4, j]
         totals[0] += dt / 6.0 * growth
         totals[1] += dt / 6.0 * outflow
         totals[2] += 1.0
         t = end if dt == end - t else t + dt
-        speeds(x, jump, n, top_front(x, n), r0, near, law, r_left, r_right, K, speed)
-        n, logged = merge(x, jump, label, since, smooth, speed, n, t, r_left, r_right, law, work[8:], head, log, logged)
-        n, logged = note_events(x, jump, label, since, strong, speed, n, t, log, logged, totals)
+        before = n
+        n, logged = merge(
+            x, jump, label, since, smooth, k[0], n, t, r_left, r_right, law, work[10:15], head, log, logged
+        )
+        fresh = n == before
+        n, logged = note_events(x, jump, label, since, strong, k[0], n, t, log, logged, totals)
     return n, logged
+
+
+@compiled
+def motion_error(jump, n, last, after):
+    """Six times the error of W, per unit of time, of a Runge-Kutta step: the largest sum of jump times displacement.
+
+    With the speeds after the step in the place of those of its last stage it is of third order.
+    """
+    total = largest = 0.0
+    for j in range(n):
+        total += jump[j] * (last[j] - after[j])
+        if not abs(total) <= largest:
+            largest = abs(total)
+    return largest
+
+
+@compiled
+def exit_error(x, new, speed, n, r_left, r_right, law):
+    """The error of ln K, by the largest of the fronts that leave within a step, divided by the square of the step.
+
+    ∂_t ln K jumps by the front's speed times its jump of f, at a time that the stages of the step do not see.
+    """
+    largest = 0.0
+    j = n - 1
+    while j >= 0 and new[j] > 0.0:
+        change = abs(law_q_f(r_right[j], law)[1] - law_q_f(r_left[j], law)[1])
+        largest = max(largest, change * speed[j] / 12.0)
+        j -= 1
+    return largest
+
+
+@compiled
+def crossing_error(x, jump, n, r_left, r_right, K, eroded, law):
+    """The error of W, per unit of time, by fronts that have crossed and are not merged yet.
+
+    Two that overlap by a length d change ln K on their left by their jumps' product times d, and are displaced by as
+    much times K f between them. `eroded` holds the largest K |f| left of each front.
+    """
+    total = 0.0
+    far, strength, beyond = x[0], abs(jump[0]), eroded[0]
+    for j in range(1, n):
+        if x[j] < far:
+            flux = max(beyond, K[j] * abs(law_q_f(r_left[j], law)[1]))
+            total += strength * abs(jump[j]) * (far - x[j]) * flux
+            strength += abs(jump[j])
+        else:
+            far, strength, beyond = x[j], abs(jump[j]), eroded[j]
+    far, strength = x[n - 1], abs(jump[n - 1])
+    for j in range(n - 2, -1, -1):
+        if x[j] > far:
+            flux = max(eroded[j], K[j] * abs(law_q_f(r_right[j], law)[1]))
+            total += strength * abs(jump[j]) * (x[j] - far) * flux
+            strength += abs(jump[j])
+        else:
+            far, strength = x[j], abs(jump[j])
+    return total
 
 
 @compiled
@@ -221,12 +326,13 @@ def outflow_at(x, top, r_right, law):
 
 
 @compiled
-def read(x, jump, label, smooth, n, r0, near, law, r_left, r_right, slope, K, nodes, W_out, K_out):
+def read(x, jump, label, smooth, n, area, r0, near, law, r_left, r_right, slope, K, nodes, W_out, K_out):
     """W and K at `nodes` (increasing). Sweeps first.
 
     Between two fronts of a `smooth` stretch: cubic Hermite of W and ln K with the means of the one-sided q and f as
     slopes (second order; the pieces themselves would make q first order). Beside a kink its own one-sided values;
-    elsewhere the piece, which is exact, and so where the fronts are too far apart for the cubic to keep the range of q.
+    elsewhere the piece, which is exact, and so where the fronts are too far apart for the cubic: where it would leave
+    the range of q, or where a jump times the distance is more than WIDE times `area`.
     """
     sweep(x, jump, n, n - 1, r0, near, law, r_left, r_right, slope, K)
     W = 0.0  # at front j
@@ -242,8 +348,13 @@ def read(x, jump, label, smooth, n, r0, near, law, r_left, r_right, slope, K, no
         if j < 0:
             W_out[i], K_out[i] = 0.0, K[0] if n > 0 else 1.0
             continue
-        if j + 1 < n and smooth[j] and x[j + 1] > x[j]:
+        cubic = j + 1 < n and smooth[j] and x[j + 1] > x[j]
+        if cubic:
             h = x[j + 1] - x[j]
+            jumps = 0.0 if label[j] > 0 else abs(jump[j])
+            jumps = jumps if label[j + 1] > 0 else max(jumps, abs(jump[j + 1]))
+            cubic = h * jumps <= WIDE * area
+        if cubic:
             qa, fa = law_q_f(r_right[j], law)
             qb, fb = law_q_f(r_left[j + 1], law)
             W1 = I - r_left[j + 1]
@@ -258,7 +369,8 @@ def read(x, jump, label, smooth, n, r0, near, law, r_left, r_right, slope, K, no
                 least, most = min(least, q), max(most, q)
             mean = (W1 - W) / h
             turn = cubic_turn(qa, mean, qb)
-        if j + 1 < n and smooth[j] and x[j + 1] > x[j] and least <= turn <= most:
+            cubic = least <= turn <= most
+        if cubic:
             s = (nodes[i] - x[j]) / h
             value, slope_a, slope_b = s * s * (3.0 - 2.0 * s), h * s * (1.0 - s) ** 2, h * s * s * (s - 1.0)
             W_out[i] = W + (W1 - W) * value + slope_a * qa + slope_b * qb
