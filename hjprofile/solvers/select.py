@@ -7,7 +7,7 @@ that the choice is the same on every machine and a case solves to the same numbe
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,9 +22,8 @@ from hjprofile.solvers.characteristics import FINEST, READ, solve_characteristic
 from hjprofile.solvers.data_resolution import Resolution, cells_resolve
 from hjprofile.solvers.fronts import resolution, track_and_prove, track_fronts
 from hjprofile.solvers.moving_labels import LABEL, TOO_LONG, TRY
-from hjprofile.solvers.run import Array, Run
+from hjprofile.solvers.run import Array, KinkRecord, Run
 from hjprofile.solvers.units_of_the_law import Units
-from hjprofile.solvers.vertical_steps import REACH
 from hjprofile.solvers.whole_line import also_on_the_whole_line
 
 Progress = Callable[[float], None]
@@ -40,7 +39,7 @@ MANY_BREAKS = 60  # from which on fronts merge the weaker ones
 APART = 1.6, 2.6  # least and largest ratio of two resolutions for an estimate; larger ones do for a forecast
 MOST_FRONTS = 25600
 # Seconds, where they were measured, of a step of one front under a rational law and under others
-FRONT_STEP, TABLE_STEP = 1.5e-7, 4.5e-7
+FRONT_STEP, TABLE_STEP = 8e-8, 2.7e-7
 READ_FRONTS = 5e-4  # ... and of a saved time
 MORE = 1.25  # times as many, at least, where a try misses
 FAR, MOST_FORECAST = 8.0, 600  # times as many fronts as were tried, and the most that are tried to see so far
@@ -196,6 +195,24 @@ def _characteristics(search: _Search, patience: float, why: str) -> bool:
     return False
 
 
+def beside_kinks(kinks: Sequence[KinkRecord], others: Sequence[KinkRecord], times: Array, length: float) -> float:
+    """Return the largest difference of u between the kinks of one run and those of another that are nearest, mutually.
+
+    Between two positions of a kink, d apart, u differs by jump ∫ exp(-x/length) dx up to d, as q decays over the length
+    R'(0): nodes that lie further apart than that may not show it.
+    """
+    largest = 0.0
+    for t in times.tolist():
+        found, known = (np.array([(k.x, k.jump) for k in of if k.time == t]).reshape(-1, 2) for of in (kinks, others))
+        if found.size and known.size:
+            apart = np.abs(found[:, :1] - known[:, 0])
+            first, second = apart.argmin(axis=1), apart.argmin(axis=0)
+            same = second[first] == np.arange(len(first))  # others are born in one run alone
+            d, jump = apart.min(axis=1)[same], np.minimum(found[same, 1], known[first[same], 1])
+            largest = max(largest, float(np.max(-jump * length * np.expm1(-d / length), initial=0.0)))
+    return largest
+
+
 class _Ladder:
     """Fronts at several resolutions."""
 
@@ -206,6 +223,7 @@ class _Ladder:
         self.rows = np.arange(times.size)[:: -max(1, times.size // COARSE_TIMES)][::-1]  # with the last
         self.few = replace(search.problem, snapshots=times[self.rows].tolist())
         self.u: dict[int, Array] = {}  # fronts -> u on the coarse grid
+        self.kinks: dict[int, Sequence[KinkRecord]] = {}
         self.missed: dict[int, float] = {}  # fronts -> sup|W_d - W| of the data
         self.plain: dict[int, float] = {}  # fronts -> the error by second order, with no allowance
         self.steps = 0.0  # for each front
@@ -229,13 +247,8 @@ class _Ladder:
         if run is not None:
             self.missed[fronts] = proof.height
             self.u[fronts] = run.u[self.rows if last else slice(None), :: run.cells // self.coarse.cells]
-            with np.errstate(all="ignore"):
-                speed = (run.K[:, 1:] * problem.law.derivative(run.q)).max(axis=1)
-            way = 0.5 * np.diff(run.time) @ (speed[1:] + speed[:-1]) if len(speed) > 1 else speed[-1] * problem.end
-            start = problem.profile.start(1e-14)
-            steps = float(way) / (REACH * -max(start if np.isfinite(start) else grid.left, grid.left))
-            # each saved time may cut a step short
-            self.steps = float(np.clip(steps, max(run.steps - problem.kept, 0) / fronts, run.steps / fronts))
+            self.kinks[fronts] = run.kinks
+            self.steps = max(run.steps - problem.kept, 0) / fronts  # each saved time may cut a step short
         return run
 
     def _estimate(self, fronts: int, apart_at_most: float = APART[1]) -> float:
@@ -244,7 +257,9 @@ class _Ladder:
         if not below:
             return np.inf
         n = max(below)
+        length = float(self.search.problem.law.R_derivative(0.0))
         apart = float(np.abs(self.u[fronts] - self.u[n]).max())
+        apart = max(apart, beside_kinks(self.kinks[fronts], self.kinks[n], self.few.times, length))
         self.plain[fronts] = apart / ((fronts / n) ** 2 - 1.0)
         return max(SAFETY * (1.0 + FEW / fronts) * self.plain[fronts], self.missed[fronts]) + ROUNDING
 
