@@ -22,6 +22,7 @@ from hjprofile.solvers.run import Array
 POINTS = 16
 FAN = 0.5  # most that a panel of a fan spans in ln R
 NARROWEST = 1e-7  # panels of the data; a profile that needs narrower ones is not smooth between its corners
+MOST_PENDING = 4000  # panels of one width that are not resolved: their number doubles where a profile is rough
 TAIL = 1e-15 * POINTS**2  # rounding of the highest Chebyshev coefficients
 MISSED = 1e-11  # of W between the points of a panel: rounding, and far below every tolerance
 MOST_DEAD, MARGIN = 0.0, 0.02  # local place up to which labels may be dead at one end of a panel; what is left of them
@@ -312,7 +313,7 @@ def _smooth(problem: Problem, x: float, end: float, ends: tuple, sample: Sample,
             (r[p], half[p] * (1.0 + RULE.s), W[p] + r[p], dI[p], half[p, 0], a[p, 0], a[p, 0] > x)
             for p in np.flatnonzero(good)
         ]
-        narrow = ~good & (half[:, 0] < NARROWEST)
+        narrow = ~good & ((half[:, 0] < NARROWEST) | (len(pending) > MOST_PENDING))
         if narrow.any():
             worst = int(np.argmax(np.where(narrow, rough, 0.0)))
             raise RunError(
