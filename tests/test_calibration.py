@@ -90,7 +90,7 @@ def test_a_kink_gives_time_and_law_back(tmp_path):
 @pytest.fixture
 def coarse(monkeypatch):
     """A model of few fronts: what is tested then is the statistics or the messages, not the solver."""
-    monkeypatch.setattr(calibration, "FRONTS", 100)
+    monkeypatch.setattr(calibration, "FRONTS", 200)
     monkeypatch.setattr(calibration, "SLOPE_FRONTS", 100)
 
 

@@ -24,7 +24,7 @@ from hjprofile.problem.ranges import number, plain, shown
 from hjprofile.solvers.fronts import heights_at_end
 from hjprofile.solvers.run import Array
 
-FRONTS = 800  # of the heights: on the hillslope to 2 cm r.m.s. of 650 m
+FRONTS = 1200  # of the heights: on the hillslope to 2 cm r.m.s. of 650 m
 SLOPE_FRONTS = 400  # of their derivatives: with STEP they differ there by 1 % from those of 1600
 STEP = 3e-3  # of a central difference in a logarithm: larger ones carry kinks past points, smaller ones bring noise
 RESOLVED = 0.01  # singular values below this part of the largest are no better known than the derivatives are

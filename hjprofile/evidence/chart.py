@@ -29,6 +29,7 @@ STEEP_REFERENCE_FRONTS = 3200  # under a law of linear growth, where a front cos
 REPEATS = 3
 PATIENCE = 0.3  # seconds that a run may take before finer ones of its method are left out
 SNAPSHOTS = 5  # times over which errors are taken
+ROUNDING = 4.0 * np.finfo(float).eps  # of u - x of order 1 at a node
 INTEGRATED = 1e-12  # error of solutions integrated to 1e-13: exact fronts; closed forms, except for the rational law
 NOTHING = 1e-12  # |q| of a slope that is critical to rounding
 SAFETY = 2.0  # error of a reference in q, as a multiple of its distance to a coarser run of its method
@@ -158,7 +159,8 @@ def _reference(problem: Problem, grid: Grid) -> Reference:
         with suppress(RunError):
             run, coarser = (solve_characteristics(problem, grid, e) for e in (FINEST, 100.0 * FINEST))
             if run.done and coarser.done and run.error_estimate is not None:
-                error_q = max(run.error_estimate, SAFETY * _distance(run.q, coarser.q, grid))
+                rounding = ROUNDING * grid.cells * (1.0 + float(np.abs(run.u - run.x).max()))  # of differences of u
+                error_q = max(run.error_estimate, SAFETY * _distance(run.q, coarser.q, grid)) + rounding
 
                 def by_characteristics(g: Grid) -> tuple[Array, Array]:
                     read = solve_characteristics(problem, g, FINEST)
