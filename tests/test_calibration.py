@@ -57,7 +57,7 @@ def off(found, truth):
 
 
 def test_a_survey_without_noise_gives_the_parameters_back(slope):
-    """Against characteristics: what is left is the error of 800 fronts, 1.2e-3 m r.m.s. of 455."""
+    """Against characteristics: what is left is the error of 1200 fronts, 1.2e-3 m r.m.s. of 455."""
     path, x, height = slope
     found = hj.fit(path, x, height, list(TRUTH))
     assert np.abs(off(found, TRUTH)).max() < 1e-4
