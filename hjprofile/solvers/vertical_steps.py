@@ -22,7 +22,6 @@ END = np.log(1e12)  # ln(1+q) that stands for an infinite slope: the rest of R i
 REACH = 4.0  # spacings that the fastest front may cross in a step: then time adds little to the error of space
 TOLERANCE = 1e-12  # of the exact integration
 KINK = 4.0  # times the strength of an ordinary small front: one that has swallowed so much is a kink, or a step
-WEAK = 0.02  # fall of ln R or ln(1 + q) across a front that moves like the fan it stands for: its error is 1e-4 t
 _Z = np.cos(np.pi * (np.arange(8) + 0.5) / 8)
 _FIT = np.linalg.inv(np.vander(_Z, 8, increasing=True)).T
 BLOW_UP = -2.0  # a log's mark of a blow-up
@@ -118,10 +117,6 @@ class Tracker:
 
     def least(self) -> float:
         """The smallest q on the right of a front, which a grid may miss between two nodes."""
-        raise NotImplementedError
-
-    def falls(self) -> Array:
-        """q on the left, q on the right and K of the fronts that carry a fall by more than WEAK, shape (3, fronts)."""
         raise NotImplementedError
 
     def _sides(self) -> Iterator[tuple[int, float, float, float]]:
@@ -285,12 +280,6 @@ class StepTracker(Tracker):
     def least(self) -> float:
         self._sweep()
         return float(np.expm1(self.work[1, : self.n].min(initial=0.0)))
-
-    def falls(self) -> Array:
-        self._sweep()
-        v_left, v_right, K = self.work[[0, 1, 5], : self.n]
-        strong = (v_left - v_right > WEAK) & ~self.is_step[: self.n]
-        return np.array([np.expm1(v_left[strong]), np.expm1(v_right[strong]), K[strong]])
 
     def _sides(self) -> Iterator[tuple[int, float, float, float]]:
         self._sweep()
