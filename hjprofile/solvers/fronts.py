@@ -58,8 +58,10 @@ class _Tracker(Tracker):
         self.since = np.full(room, np.inf)
         self.work, self.head = np.zeros((13 if exact else 16, room)), np.zeros(room, dtype=np.int64)
         self.near = 0.0 if exact else min(NEAR, (NEAR_AREA * fronts.area) ** 0.25)
-        first = np.array([math.sqrt(fronts.area), SAVED * end])
-        self.control = kernels.Control(TIME * fronts.area / max(end, 1e-300), max(end, 1e-300), SAVED * end, first)
+        # the fourth power of the longest step falls like the square of the number of fronts, as the error in space does
+        longest = max(end, 1e-300) / math.sqrt(room)
+        first = np.array([min(math.sqrt(fronts.area), longest), SAVED * end])
+        self.control = kernels.Control(TIME * fronts.area / max(end, 1e-300), longest, SAVED * end, first)
 
     def advance(self, end: float) -> bool:
         """To the time `end`, if steps are not too small for that; merges, births and exits are noted."""
