@@ -244,13 +244,13 @@ def test_both_forms_agree_to_rounding(values, line, law, method):
     assert hj.compare(*runs).slope_max <= (1e-8 if method == "weno5" else 1e-10)
 
 
-@pytest.mark.parametrize("method", hj_form.FLUXES)
-@pytest.mark.parametrize("k", ["1 - 0.5*x", "exp(-0.3*x)*(1 + t)"])
+@pytest.mark.parametrize("method", HJ_METHODS)
+@pytest.mark.parametrize("k", ["1 - 0.5*x", "exp(-0.3*x)*(1 + t)", "exp(x)*(1 + t)"])
 def test_steps_are_by_the_whole_grid(method, k):
     """k is largest where nothing happens, which one form looks at and the other must not pass over."""
     problem = hj.Problem(hj.rational(), hj.steady(0.5, -1.0), end=0.5, snapshots=3, coefficient=hj.coefficient(k))
     runs = [solve(problem, hj.Grid(-2.0, 200), name) for name in (method, f"conservative-{method}")]
-    assert runs[0].steps == runs[1].steps and hj.compare(*runs).slope_max <= 1e-11
+    assert runs[0].steps == runs[1].steps and hj.compare(*runs).slope_max <= (1e-8 if method == "weno5" else 1e-11)
 
 
 def test_kink_paths_budgets_and_volume_are_those_of_the_coefficient():

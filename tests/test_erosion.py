@@ -126,6 +126,14 @@ def test_decay_solves_its_equation(name, q0):
         assert found == pytest.approx(distance, rel=1e-11)
 
 
+@pytest.mark.parametrize("q", [-0.05, -0.03, 1e-6, 0.02, 0.05, 0.051])
+def test_R_of_a_law_that_bends_within_the_polynomials_range(q):
+    """f = (1 - (1+q)^-100)/100 falls by a factor of 170 there: a polynomial of degree 13 is good to 1e-6 of R'."""
+    law, f = power(100.0), power_exact(100)
+    assert law.R(q) == pytest.approx(exact(R_exact(f), q), rel=1e-12)  # rounding of the largest value
+    assert law.R_derivative(q) == pytest.approx(exact(R_derivative_exact(f), q), rel=1e-11)
+
+
 def test_decay_of_nothing_and_far_away():
     for law in (rational(), log()):
         assert np.all(law.decay(0.0, np.array([0.0, 3.0])) == 0.0)

@@ -128,14 +128,14 @@ def test_eroded_volume_through_a_blow_up():
 
 
 def test_a_smooth_slope_breaks_when_characteristics_say_so():
-    """The time to 1e-6 (second order in the number of fronts: 4e-7 with 1600), and no shock above it."""
+    """The time to 1e-6 with 400 fronts (measured 8e-9 with 800), and no shock above it."""
     exact, stretch = bump_blow_up(4.0, 0.25)
     assert exact == pytest.approx(BREAKS, abs=1e-9) and stretch > 0.0
-    run = hj.track_fronts(hj.Problem(LAW, BUMP, end=BREAKS + 0.02, snapshots=2), hj.Grid(-4.0, 400), 1600)
+    run = hj.track_fronts(hj.Problem(LAW, BUMP, end=BREAKS + 0.02, snapshots=2), hj.Grid(-4.0, 400), 400)
     # a kink at the foot comes first, and the step soon overtakes it
     assert [e[1:4] for e in run.events] == [("birth", 1, None), ("blow-up", 2, None), ("merge", 2, 1)]
     assert run.events[1].time == pytest.approx(exact, abs=1e-6)
-    assert run.events[0].time == pytest.approx(FOLDS, abs=1e-3)  # measured 4e-4; dated by the first two that meet
+    assert run.events[0].time == pytest.approx(FOLDS, abs=2e-3)  # by the first two that meet: 1e-4 with 800
 
 
 def test_many_fronts_converge_to_the_inverse_formulation():
@@ -216,7 +216,7 @@ def test_steps_on_grids_converge():
 
 def test_steps_converge_under_the_second_order_scheme():
     """Of order one and better, where the first-order fluxes have 0.8 and 0.6 in dx; its budgets telescope."""
-    end, cells, errors = 0.9, [int(750 * 2.4 ** (i / 9)) for i in range(10)], []
+    end, cells, errors = 0.9, [int(750 * 2.4 ** (i / 5)) for i in range(6)], []
     x, m = pair().step(end)
     for n in cells:
         run = hj.solve_conservative(two_kinks(end), hj.Grid(-4.0, n))
@@ -232,9 +232,9 @@ def test_steps_converge_under_the_second_order_scheme():
 
 
 def test_a_large_step_under_the_second_order_scheme():
-    """Smooth data against fronts, which here are good to 1e-6: 1/20 of the error of the first-order flux."""
+    """Smooth data against fronts, which here are good to 1e-5: 1/20 of the error of the first-order flux."""
     problem = hj.Problem(LAW, hj.bumps([2.0], [-2.5], [0.4]), end=0.3, snapshots=2)
-    exact = hj.track_fronts(problem, hj.Grid(-5.0, 200), 1600).vertical_steps[-1]
+    exact = hj.track_fronts(problem, hj.Grid(-5.0, 200), 400).vertical_steps[-1]
     errors = []
     for method in ("conservative", "conservative-telescoping"):
         (step,) = hj.solve_conservative(problem, hj.Grid(-5.0, 1500), method).steps_at(-1)
@@ -257,13 +257,13 @@ def test_the_second_order_scheme_keeps_any_data_above_minus_one():
 
 
 def test_the_second_order_scheme_is_second_order_where_all_is_smooth():
-    """A bump before its slope breaks, against 3200 fronts: L1(u)."""
-    profile, end, cells = hj.bumps([0.5], [-2.0], [0.5]), 0.1, [250, 500, 1000]
+    """A bump before its slope breaks, against 1600 fronts: L1(u)."""
+    problem, cells = hj.Problem(LAW, hj.bumps([0.5], [-2.0], [0.5]), end=0.1, snapshots=2), [250, 500, 1000]
+    exact = hj.track_fronts(problem, hj.Grid(-5.0, 1000), 1600).u[-1]
     errors = []
     for n in cells:
-        problem, grid = hj.Problem(LAW, profile, end=end, snapshots=2), hj.Grid(-5.0, n)
-        exact = hj.track_fronts(problem, grid, 3200)
-        errors.append(grid.dx * np.abs(hj.solve_conservative(problem, grid).u - exact.u)[-1].sum())
+        run = hj.solve_conservative(problem, hj.Grid(-5.0, n))
+        errors.append(5.0 / n * np.abs(run.u[-1] - exact[:: 1000 // n]).sum())
     assert 1.6 <= hj.observed_order(cells, errors) <= 2.4 and errors[-1] < 1e-4
 
 

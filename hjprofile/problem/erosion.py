@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.polynomial import Chebyshev
+from numpy.polynomial import Chebyshev, chebyshev
 
 from hjprofile.errors import InputError, did_you_mean
 from hjprofile.problem.expressions import arithmetic
@@ -25,9 +25,12 @@ from hjprofile.problem.ranges import number, shown
 Array = np.ndarray
 Function = Callable[[Any], Any]
 
-NEAR_ZERO = (
-    0.05  # |q| below which q/f(q) is read from a polynomial: there f may be a difference of numbers of order one
-)
+NEAR_ZERO = 0.05  # |q| below which f(q)/q is read from a polynomial: f may be a difference of numbers of order one
+DEGREES = 13, 29  # of the polynomial: the first whose last coefficients are below DIGITS of the largest
+DIGITS = 1e-13
+TINY = -37.0  # ln|q| below which a decay is exponential to rounding
+NODES, HALVINGS = 16, 6  # of a panel of a decay, and how often it is halved at most for DIGITS
+NEWTON, LAST_MOVE = 30, 1e-14  # most steps to invert a panel, and the last of them, in parts of half a panel
 # headings of the page on errors
 UNREADABLE, PYTHON, NO_LAW = "a-file-that-cannot-be-read", "a-python-file", "what-a-law-must-be"
 LINEAR = "linear"  # the growth of a law outside [eq:f]
@@ -101,7 +104,11 @@ class ErosionLaw:
     @cached_property
     def _f_over_q(self) -> Chebyshev:
         """f(q)/q for |q| <= NEAR_ZERO; an even number of nodes keeps q = 0 out of the sample."""
-        return Chebyshev.interpolate(lambda q: self.f(q) / q, 13, domain=[-NEAR_ZERO, NEAR_ZERO])
+        for degree in DEGREES:
+            found = Chebyshev.interpolate(lambda q: self.f(q) / q, degree, domain=[-NEAR_ZERO, NEAR_ZERO])
+            if np.abs(found.coef[-2:]).max() <= DIGITS * np.abs(found.coef).max():
+                break
+        return found
 
     @cached_property
     def _f_over_q_derivative(self) -> Chebyshev:
@@ -128,13 +135,6 @@ class ErosionLaw:
             (self.f(gain) - gain * self.derivative(gain)) / f**2,
         )
 
-    def _R_derivative_at(self, q: Array) -> Array:
-        """R' at a single slope, of shape (1,), without the branches: a steep decay asks for it some thousand times."""
-        if abs(q[0]) <= NEAR_ZERO:
-            return self.R_derivative(q)
-        gain = np.minimum(q, FARTHEST)
-        return (self.f(gain) - gain * self.derivative(gain)) / self.f(q) ** 2
-
     def decay(self, q0: float, distance) -> Array:
         """q at `distance` >= 0 to the right of a place with q = q0, where W + R(q) is constant in x.
 
@@ -143,17 +143,51 @@ class ErosionLaw:
         distance = np.asarray(distance, dtype=float)
         if self.name == "rational" or q0 == 0.0:
             return q0 * np.exp(-distance)
-        from scipy.integrate import solve_ivp
-
         sign = np.sign(q0)
-        slope = self._R_derivative_at if self.grows_linearly else self.R_derivative
-        asked, back = np.unique(distance, return_inverse=True)
-        solution = solve_ivp(  # in ln|q|, in which the decay is nearly straight
-            lambda x, log_q: -1.0 / slope(sign * np.exp(log_q)),
-            (0.0, max(asked[-1], 1e-300)), [np.log(abs(q0))],
-            method="DOP853", t_eval=asked, rtol=1e-13, atol=1e-13,
-        )  # fmt: skip
-        return (sign * np.exp(solution.y[0]))[back].reshape(distance.shape)
+        rate = float(self.R_derivative(np.zeros(1))[0])
+        w0 = np.log(abs(np.log1p(q0)))
+        if w0 <= TINY:
+            return q0 * np.exp(-distance / rate)
+
+        # the distance x as a function of w = ln|ln(1+q)|, with x(w₀) = 0 and
+        # dx/dw = -R'(q) (1+q) ln(1+q) / q, which has no singularity near the real axis, on panels that end at TINY
+        def slope(w):
+            v = sign * np.exp(w)
+            q = np.expm1(v)
+            return -self.R_derivative(q) * np.exp(v) * v / q
+
+        edges, coefficients = _chebyshev_panels(slope, np.linspace(w0, TINY, int(np.ceil(w0 - TINY)) + 1))
+        half = 0.5 * np.diff(edges)
+        x = half * chebyshev.chebint(coefficients, lbnd=-1.0)
+        starts = np.append(0.0, np.cumsum(chebyshev.chebval(1.0, x)))
+        panel = np.clip(np.searchsorted(starts, distance.ravel(), side="right") - 1, 0, half.size - 1)
+        inside = np.minimum(distance.ravel(), starts[-1]) - starts[panel]
+        at = 2.0 * inside / np.diff(starts)[panel] - 1.0
+        for _ in range(NEWTON):
+            move = (chebyshev.chebval(at, x[:, panel], tensor=False) - inside) / (
+                half[panel] * chebyshev.chebval(at, coefficients[:, panel], tensor=False)
+            )
+            at = np.clip(at - move, -1.0, 1.0)
+            if np.all(np.abs(move) <= LAST_MOVE):
+                break
+        q = np.expm1(sign * np.exp(edges[panel] + half[panel] * (1.0 + at)))
+        beyond = np.maximum(distance.ravel() - starts[-1], 0.0)
+        return (q * np.exp(-beyond / rate)).reshape(distance.shape)
+
+
+def _chebyshev_panels(function: Function, edges: Array) -> tuple[Array, Array]:
+    """Return edges and Chebyshev coefficients, shape (NODES, panels), of a function, halving panels for DIGITS."""
+    nodes = chebyshev.chebpts1(NODES)
+    to_coefficients = chebyshev.chebvander(nodes, NODES - 1).T * (2.0 / NODES)
+    to_coefficients[0] *= 0.5
+    for halvings in range(HALVINGS + 1):
+        middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
+        coefficients = to_coefficients @ function(middle + half * nodes[:, None])
+        coarse = np.abs(coefficients[-2:]).max(axis=0) > DIGITS * np.abs(coefficients).max(axis=0)
+        if halvings == HALVINGS or not coarse.any():
+            break
+        edges = np.sort(np.append(edges, middle[coarse]))[::-1]
+    return edges, coefficients
 
 
 def rational() -> ErosionLaw:

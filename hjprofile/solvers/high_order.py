@@ -136,6 +136,7 @@ class HighOrder(Restorable):
         a, b = max(self.active[0] - reach, 0), min(self.active[1] + 1 + reach, cells)
         inflow = self.inflow if a == 0 else 0.0
         K = np.ones(b - a + 1)
+        idle = self.factor.window(self.law, np.array([start]), a, b)[1]
         speeds: list[float] = []
 
         def rate(y: Array) -> Array:
@@ -144,7 +145,7 @@ class HighOrder(Restorable):
                 raise Breakdown(q, K, a)
             F, edges = self._fluxes(q, inflow, K, self.factor.given(start + y[-1], slice(a, b + 1)))
             if not speeds:  # of states, not of stages
-                speeds.append(self._speed(q, edges, K, a))
+                speeds.append(max(self._speed(q, edges, K, a), idle))
             return np.concatenate([self._rate(F), [K[0] - 1.0, F[-1], 1.0]])
 
         part = slice(a, b + nodes)
