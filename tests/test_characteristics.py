@@ -94,7 +94,7 @@ SCENES = {
 }
 
 
-@pytest.mark.parametrize("law", ["rational", "log", "power"])
+@pytest.mark.parametrize("law", ["rational", "log", pytest.param("power", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("scene", SCENES)
 def test_scenes_with_births_merges_and_fans(scene, law):
     """Against its own finest run, and against fronts extrapolated from 1600 and 3200."""
@@ -159,7 +159,7 @@ def check_random(make, count, seed):
             assert "fronts" in run.status + finest.status
             failures += 1
             continue
-        assert np.isfinite(run.u).all() and (run.q > -1.0).all() and (run.K > 0.0).all()
+        assert np.isfinite(run.u).all() and (run.q > -1.0).all() and (run.K >= 0.0).all()  # 0 where ln K < -745
         assert all(b.holds for b in run.bounds.values()), (i, run.bounds)
         error = np.abs(run.u - finest.u).max()
         doubtful += error > run.error_estimate

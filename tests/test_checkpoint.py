@@ -255,7 +255,7 @@ def killed_again_and_again(tmp_path, kills, seed):
 
 
 def test_kill_and_resume(tmp_path):
-    killed_again_and_again(tmp_path, 4, seed=1)
+    killed_again_and_again(tmp_path, 2, seed=1)
 
 
 @pytest.mark.slow

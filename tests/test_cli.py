@@ -171,6 +171,7 @@ def test_stability_writes_its_table_and_picture(folder, call, monkeypatch):
         ("STEPS", 300),
         ("CFL", (0.5, 1.5, 3.0)),
         ("VISCOSITY_AT", (0.9,)),
+        ("SMALLEST", (0.1, 1e-3)),
         ("EXPONENTS", (1.0, 800.0)),
     ):
         monkeypatch.setattr(study, name, fewer)

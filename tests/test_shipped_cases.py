@@ -44,7 +44,12 @@ def test_case_meets_its_expectation(name):
     assert np.all(np.diff(run.time) > 0)
 
 
-@pytest.mark.parametrize("name", hj.shipped_cases())
+LONG = "vertical_step", "to_the_critical_slope", "travelling_wave", "log_law"  # seconds each
+
+
+@pytest.mark.parametrize(
+    "name", [n if n not in LONG else pytest.param(n, marks=pytest.mark.slow) for n in hj.shipped_cases()]
+)
 def test_case_passes_the_consistency_test(name):
     case = hj.load_case(name)
     if case.problem.thickness:  # there is one solver for this model, not two to compare
