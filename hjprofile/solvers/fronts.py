@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -109,35 +111,34 @@ class _Tracker(Tracker):
             yield j, law_q_f(left[j], self.table)[0], law_q_f(right[j], self.table)[0], float(K[j] * slope[j])
 
 
-def _begin(
-    problem: Problem, left: float, fronts: int, exact: bool | None = None
-) -> tuple[Fronts, _Tracker | StepTracker, Resolution]:
-    """Return the problem cut into fronts, their tracker, and the errors of the data."""
+class Begun(NamedTuple):
+    """A profile that is cut into fronts, their tracker before the first step, and the errors of the data."""
+
+    data: Fronts
+    tracker: _Tracker | StepTracker
+    resolution: Resolution
+
+
+def begin(problem: Problem, left: float, fronts: int, exact: bool | None = None) -> Begun:
+    """Cut the profile of a problem in units of the law, right of `left`, into `fronts` fronts."""
     data, table = cut_into_fronts(problem, left, fronts)
     exact = data.kinks_only if exact is None else exact
     if not isinstance(table, StepLaw):
-        return data, *_proved(problem, data, _Tracker(data, table, exact, problem.end))
+        return _proved(problem, data, _Tracker(data, table, exact, problem.end))
     if exact and not data.kinks_only:
         raise InputError("exact = True of other data than kinks is not available for a law with growth = 'linear'")
     spacing = FINER * data.spacing
-    return data, *_proved(problem, data, StepTracker(data.x, data.jump, data.label, spacing, exact, table))
+    return _proved(problem, data, StepTracker(data.x, data.jump, data.label, spacing, exact, table))
 
 
-def _proved(
-    problem: Problem, data: Fronts, tracker: _Tracker | StepTracker
-) -> tuple[_Tracker | StepTracker, Resolution]:
-    """Return the tracker, and the errors of the data that it reads before the first step."""
+def _proved(problem: Problem, data: Fronts, tracker: _Tracker | StepTracker) -> Begun:
+    """Return these with the errors of the data that the tracker reads before the first step."""
     if data.sample is None:  # the fronts are the profile
-        return tracker, EXACT
+        return Begun(data, tracker, EXACT)
     sample = data.sample
     W, K = tracker.read(read_only(sample.x))  # as the nodes of a grid are: one compiled form does for both
     with np.errstate(all="ignore"):
-        return tracker, compare_data(problem, sample, W, np.log(K), data.area)
-
-
-def resolution(problem: Problem, left: float, fronts: int) -> Resolution:
-    """Return the errors of the data that are cut into `fronts` fronts."""
-    return _begin(problem, left, fronts)[2]
+        return Begun(data, tracker, compare_data(problem, sample, W, np.log(K), data.area))
 
 
 @also_on_the_whole_line
@@ -169,19 +170,15 @@ def track_fronts(
 def _in_units(
     problem: Problem, grid: Grid, fronts: int, progress: Callable[[float], None] | None, exact: bool | None
 ) -> Run:
-    return track_and_prove(problem, grid, fronts, progress, exact)[0]
+    begun = begin(problem, grid.left, fronts, exact)
+    caution = begun.resolution.caution(f"{fronts} fronts", "the method auto with a tolerance")
+    return replace(track(problem, grid, begun, progress), cautions=caution)
 
 
-def track_and_prove(
-    problem: Problem,
-    grid: Grid,
-    fronts: int,
-    progress: Callable[[float], None] | None = None,
-    exact: bool | None = None,
-) -> tuple[Run, Resolution]:
-    """Return the run of `track_fronts` on the half line and in units of the law, and the errors of its data."""
+def track(problem: Problem, grid: Grid, begun: Begun, progress: Callable[[float], None] | None = None) -> Run:
+    """Return the run of fronts that have begun, on the half line and in units of the law."""
     profile = problem.profile
-    data, tracker, resolution = _begin(problem, grid.left, fronts, exact)
+    data, tracker, _ = begun
     height = float(profile.W(grid.nodes[:1], problem.law)[0])
 
     kept, saved, kinks = problem.times, [], []
@@ -227,7 +224,7 @@ def track_and_prove(
     if not saved:
         raise RunError(status)
     W, K = (np.array(rows) for rows in zip(*saved, strict=True))
-    run = Run(
+    return Run(
         title=problem.title,
         method="fronts",
         case=resolved_case(problem, grid, "fronts"),
@@ -249,9 +246,7 @@ def track_and_prove(
         volume_budget_error=watch.budget_error,
         units=profile.units,
         account=profile.account,
-        cautions=resolution.caution(f"{fronts} fronts", "the method auto with a tolerance"),
     )
-    return run, resolution
 
 
 def heights_at_end(problem: Problem, left: float, x: Array, fronts: int) -> Array:
@@ -259,7 +254,7 @@ def heights_at_end(problem: Problem, left: float, x: Array, fronts: int) -> Arra
 
     As `track_fronts`, without a grid and those who watch. Raises RunError where front tracking loses the slope.
     """
-    _, tracker, resolution = _begin(problem, left, fronts)
+    _, tracker, resolution = begin(problem, left, fronts)
     arrived = tracker.advance(problem.end)
     W, K = tracker.read(read_only(x))  # as the nodes of a grid are: one compiled form does for both
     u = x + W + float(problem.profile.W(np.array([left]), problem.law)[0])

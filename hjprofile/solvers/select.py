@@ -19,8 +19,8 @@ from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Bumps, Kinks
 from hjprofile.solvers import closed_forms
 from hjprofile.solvers.characteristics import FINEST, READ, solve_characteristics
-from hjprofile.solvers.data_resolution import Resolution, cells_resolve
-from hjprofile.solvers.fronts import resolution, track_and_prove, track_fronts
+from hjprofile.solvers.data_resolution import cells_resolve
+from hjprofile.solvers.fronts import begin, track, track_fronts
 from hjprofile.solvers.moving_labels import LABEL, TOO_LONG, TRY
 from hjprofile.solvers.run import Array, KinkRecord, Run
 from hjprofile.solvers.units_of_the_law import Units
@@ -47,7 +47,7 @@ FAR, MOST_FORECAST = 8.0, 600  # times as many fronts as were tried, and the mos
 TRIES, TRIES_EACH, LABELS = 30, 4.5, 160
 CORNERS = 3  # that count as one feature
 # First tolerance of characteristics, as a part of that of u, and its range: coarser ones save nothing
-FIRST, DIGITS = 0.1, (1e-12, 1e-8)
+FIRST, DIGITS = 0.1, (1e-12, 1e-6)
 ROUNDING = 1e-12  # of kinks by fronts, per unit of u
 MOST_CELLS = 64_000  # of a grid
 COARSE_CELLS, COARSE_TIMES = 200, 10  # on which two runs are compared, at least
@@ -156,8 +156,9 @@ def _fronts_or_characteristics(search: _Search) -> bool:
     least, spent = _usual_work(problem), 0.0  # of characteristics
     while True:
         # all that fronts will have cost: as much is fair for characteristics, in tries each twice as long as the last
-        work = ladder.work(needed) + sum(ladder.work(n) for n in ladder.u)
-        if work > max(least, 2.0 * spent):
+        ahead = ladder.work(needed)
+        work = ahead + sum(ladder.work(n) for n in ladder.u)
+        if ahead > least and work > 2.0 * spent:
             spent = work if needed <= MOST_FRONTS else np.inf
             why = f"because {needed:.2g} fronts would cost more" if np.isfinite(needed) else "because fronts fail"
             if _characteristics(search, spent, why):
@@ -233,19 +234,19 @@ class _Ladder:
     def _run(self, fronts: int, last: bool = False) -> Run | None:
         """A run of which few nodes and times are read, or, the last one, all."""
         problem, grid = (self.search.problem, self.search.grid) if last else (self.few, self.coarse)
-        proof = Resolution(np.inf, np.inf, np.inf)
+        missed = 0.0
 
-        def track() -> Run:
-            nonlocal proof
-            run, proof = track_and_prove(problem, grid, fronts, self.search.progress)
-            return run
+        def solve() -> Run:
+            nonlocal missed
+            begun = begin(problem, grid.left, fronts)
+            if not begun.resolution.holds:
+                raise RunError("do not resolve the profile")
+            missed = begun.resolution.height
+            return track(problem, grid, begun, self.search.progress)
 
-        run = self.search.attempt(track, f"{fronts} fronts")
-        if run is not None and not proof.holds:
-            self.search.failed.append(f"{fronts} fronts do not resolve the profile")
-            return None
+        run = self.search.attempt(solve, f"{fronts} fronts")
         if run is not None:
-            self.missed[fronts] = proof.height
+            self.missed[fronts] = missed
             self.u[fronts] = run.u[self.rows if last else slice(None), :: run.cells // self.coarse.cells]
             self.kinks[fronts] = run.kinks
             self.steps = max(run.steps - problem.kept, 0) / fronts  # each saved time may cut a step short
@@ -272,9 +273,6 @@ class _Ladder:
         )
         most = max(MOST_PILOT, 2 * PER_BREAK * breaks)
         while fronts <= most:
-            if not self._resolves(fronts // 2):
-                fronts *= 2
-                continue
             if self._run(fronts // 2) and (run := self._run(fronts, last=True)):
                 self.first, self.whole = fronts, run
                 needed = self._needed(fronts)
@@ -286,16 +284,6 @@ class _Ladder:
                 return needed
             fronts *= 2
         return np.inf
-
-    def _resolves(self, fronts: int) -> bool:
-        """Return whether so many fronts represent the profile."""
-        try:
-            if resolution(self.search.problem, self.search.grid.left, fronts).holds:
-                return True
-            self.search.failed.append(f"{fronts} fronts do not resolve the profile")
-        except RunError as error:
-            self.search.failed.append(f"{fronts} fronts {str(error).partition('; use')[0]}")
-        return False
 
     def _needed(self, fronts: int) -> float:
         """How many the tolerance takes, by the error with so many."""
