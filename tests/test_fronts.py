@@ -12,7 +12,7 @@ import hjprofile as hj
 from hjprofile.problem.case import shipped_cases
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink
 from hjprofile.solvers.front_data import FAN, cut_into_fronts
-from hjprofile.solvers.fronts import _Tracker
+from hjprofile.solvers.fronts import _Tracker, begin
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels.exact_fronts import narrowed
 from hjprofile.solvers.kernels.law import law_decay, law_q_f
@@ -350,3 +350,13 @@ def test_the_root_of_an_event_takes_few_evaluations():
             low, g_low, high, g_high, side = narrowed(low, g_low, high, g_high, side, theta, value)
             theta = low + (high - low) * g_low / (g_low - g_high)
         assert abs(value) <= 2e-15 and evaluations <= most
+
+
+@pytest.mark.parametrize("law", [hj.rational(), hj.expression("q/(1+q)")], ids=["rational", "table"])
+@pytest.mark.parametrize("length", [1e-9, 0.3, 40.0, 1e6])
+def test_volume_of_a_piece_of_any_length(law, length):
+    """W = a (1 - e^-s) at a distance s right of a kink: ∫W dx = a (L - 1 + e^-L); most of it where q has decayed."""
+    problem = hj.Problem(law, hj.kinks([-length], [0.7]), end=0.1)
+    exact = 0.7 * (length + np.expm1(-length))
+    rounding = 1e-14 * length
+    assert begin(problem, -2.0 * length, 4).tracker.volume() == pytest.approx(exact, rel=1e-9, abs=rounding)

@@ -19,6 +19,7 @@ CROSSED = 0.35  # times the estimate by fronts that have crossed: measured, it i
 WIDE = 64.0  # times the area of a piece, up to which W between two fronts is read by a cubic
 MOST_FOLDS = 2.0  # lengths 1/|f|, over which K changes by a factor e, that a front crosses in a step
 PATIENCE = 10_000  # ... but the first ones can be much shorter than those after them
+STILL = 4e-16  # relative change of r over a part of a piece, where q has decayed to nothing
 
 
 @compiled
@@ -393,7 +394,7 @@ def cubic_turn(a, mean, b):
 
 @compiled
 def volume(x, jump, n, law, r0, r_right):
-    """∫W dx, by five-point Gauss-Legendre on every piece (in parts over which it hardly changes)."""
+    """∫W dx, by five-point Gauss-Legendre on parts of every piece over which W hardly changes, as far as it changes."""
     if n == 0:
         return 0.0
     z = (-0.906179845938664, -0.5384693101056831, 0.0, 0.5384693101056831, 0.906179845938664)
@@ -405,9 +406,12 @@ def volume(x, jump, n, law, r0, r_right):
         r = r_right[j]
         parts = 1 + int(4.0 * abs(h) * (1.0 + abs(law_q_f(r, law)[1])))
         d = h / parts
-        for _ in range(parts):
+        for part in range(parts):
             for k in range(5):
                 s = 0.5 * d * (1.0 + z[k])
                 total += 0.5 * d * w[k] * (I - law_decay(r, s, law))
-            r = law_decay(r, d, law)
+            before, r = r, law_decay(r, d, law)
+            if abs(r - before) <= STILL * r:  # q is 0 from here on
+                total += (parts - 1 - part) * d * (I - r)
+                break
     return total
