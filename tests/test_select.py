@@ -68,6 +68,13 @@ def test_random_scenes():
     assert min(ratios) >= 1.0 / FACTOR and max(ratios) <= FACTOR
 
 
+def test_a_narrow_feature_that_leaves_is_followed():
+    """While it passes the crest each step uses up its error; steps of up to four times as much missed the tolerance."""
+    problem, count = random_scene(np.random.default_rng([2, 86])), Counter()
+    ratios = judge(problem, grid_of(problem), (1e-4, 1e-6), count)
+    assert count["runs"] == count["fronts"] == 2 and not count["tolerance not met"] and min(ratios) >= 1.0
+
+
 @pytest.mark.parametrize("name", TAKEN)
 def test_shipped_cases(name):
     case, count = hj.load_case(name), Counter()

@@ -175,7 +175,18 @@ def _in_units(
     return replace(track(problem, grid, begun, progress), cautions=caution)
 
 
-def track(problem: Problem, grid: Grid, begun: Begun, progress: Callable[[float], None] | None = None) -> Run:
+class Witness:
+    """W at nodes at times that are not saved; shape (times, nodes) where the run goes to its end."""
+
+    def __init__(self, times: Array, nodes: Array):
+        self.times, self.nodes = times, nodes
+        self.W: list[Array] = []
+
+
+def track(
+    problem: Problem, grid: Grid, begun: Begun, progress: Callable[[float], None] | None = None,
+    witness: Witness | None = None,
+) -> Run:  # fmt: skip
     """Return the run of fronts that have begun, on the half line and in units of the law."""
     profile = problem.profile
     data, tracker, _ = begun
@@ -198,7 +209,8 @@ def track(problem: Problem, grid: Grid, begun: Begun, progress: Callable[[float]
     watch = SnapshotBounds(grid, data.top, tracker.volume(), allowed, tracker.least())
     tracker.advance(0.0)  # compiles what is to be compiled
     seconds, status = 0.0, "done"
-    for target in np.unique(np.append(kept, problem.end)):
+    seen = witness.times if witness else np.empty(0)
+    for target in np.unique(np.concatenate([kept, seen, [problem.end]])):
         started = time.perf_counter()
         arrived = tracker.advance(float(target))
         seconds += time.perf_counter() - started
@@ -214,6 +226,8 @@ def track(problem: Problem, grid: Grid, begun: Begun, progress: Callable[[float]
             )
             break
         watch.observe(float(target), W, tracker.volume(), *tracker.totals[:2])
+        if witness and target in seen:
+            witness.W.append(tracker.read(witness.nodes)[0])
         if target in kept:
             saved.append((W, K))
             kinks += tracker.kinks()

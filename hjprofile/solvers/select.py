@@ -20,7 +20,7 @@ from hjprofile.problem.profiles import Bumps, Kinks
 from hjprofile.solvers import closed_forms
 from hjprofile.solvers.characteristics import FINEST, READ, solve_characteristics
 from hjprofile.solvers.data_resolution import cells_resolve
-from hjprofile.solvers.fronts import begin, track, track_fronts
+from hjprofile.solvers.fronts import Witness, begin, track, track_fronts
 from hjprofile.solvers.moving_labels import LABEL, TOO_LONG, TRY
 from hjprofile.solvers.run import Array, KinkRecord, Run
 from hjprofile.solvers.units_of_the_law import Units
@@ -31,13 +31,15 @@ Progress = Callable[[float], None]
 # Of an estimate from two resolutions, SAFETY (1 + FEW/fronts): with 1000 fronts and more true errors keep within 1.3
 # in 19 of 20 random scenes, with 100 within 4
 SAFETY, FEW = 1.3, 300
+JUMPS = 2.0  # in its place where q jumps: new fronts of fans come at irregular places
 AIM = 0.6  # part of the tolerance that the next resolution is to reach
 PILOT, MOST_PILOT = 64, 1024  # fronts; more where these get through no better
 USUAL, MOST_GUESS = 30.0, 500  # estimates times the square of fronts in ordinary scenes; no larger pilot for that
-PER_BREAK = 4  # fronts of the pilot for each corner or jump: fewer tell two resolutions apart only in name
+PER_BREAK = 8  # fronts of the pilot for each corner or jump: fewer tell two resolutions apart only in name
 MANY_BREAKS = 60  # from which on fronts merge the weaker ones
 APART = 1.6, 2.6  # least and largest ratio of two resolutions for an estimate; larger ones do for a forecast
 MOST_FRONTS = 25600
+HOPELESS = 2.0  # times as many: where there is another result, they are not tried
 # Seconds, where they were measured, of a step of one front under a rational law and under others
 FRONT_STEP, TABLE_STEP = 8e-8, 2.7e-7
 READ_FRONTS = 5e-4  # ... and of a saved time
@@ -46,11 +48,13 @@ FAR, MOST_FORECAST = 8.0, 600  # times as many fronts as were tried, and the mos
 # Of characteristics, measured on random scenes: tries of a step, and labels, of the first feature and of each one more
 TRIES, TRIES_EACH, LABELS = 30, 4.5, 160
 CORNERS = 3  # that count as one feature
+WORTH_A_TRY = 0.2  # seconds that fronts would still take: some scenes of many features take few steps
 # First tolerance of characteristics, as a part of that of u, and its range: coarser ones save nothing
 FIRST, DIGITS = 0.1, (1e-12, 1e-6)
 ROUNDING = 1e-12  # of kinks by fronts, per unit of u
 MOST_CELLS = 64_000  # of a grid
 COARSE_CELLS, COARSE_TIMES = 200, 10  # on which two runs are compared, at least
+BETWEEN = 0.25, 0.5, 0.75  # of the run, too: after a past that both have wrong they may agree
 
 
 @dataclass
@@ -153,10 +157,10 @@ def _fronts_or_characteristics(search: _Search) -> bool:
         return _characteristics(search, np.inf, "because fronts do not reach it")
     ladder = _Ladder(search)
     needed = ladder.pilot()
-    least, spent = _usual_work(problem), 0.0  # of characteristics
+    least, spent = min(_usual_work(problem), WORTH_A_TRY), 0.0  # of characteristics
     while True:
         # all that fronts will have cost: as much is fair for characteristics, in tries each twice as long as the last
-        ahead = ladder.work(needed)
+        ahead = ladder.work(needed) if needed > ladder.first else 0.0
         work = ahead + sum(ladder.work(n) for n in ladder.u)
         if ahead > least and work > 2.0 * spent:
             spent = work if needed <= MOST_FRONTS else np.inf
@@ -165,7 +169,7 @@ def _fronts_or_characteristics(search: _Search) -> bool:
                 return True
             if not (search.failed and search.failed[-1].endswith(TOO_LONG)):
                 spent = np.inf
-        if not np.isfinite(needed):
+        if not np.isfinite(needed) or (needed > HOPELESS * MOST_FRONTS and search.done):
             break
         met, needed = ladder.solve(needed)
         if met:
@@ -223,8 +227,11 @@ class _Ladder:
         times = search.problem.times
         self.rows = np.arange(times.size)[:: -max(1, times.size // COARSE_TIMES)][::-1]  # with the last
         self.few = replace(search.problem, snapshots=times[self.rows].tolist())
-        self.u: dict[int, Array] = {}  # fronts -> u on the coarse grid
+        self.u: dict[int, Array] = {}  # fronts -> u on the coarse grid at these times
+        self.past: dict[int, Array] = {}  # ... and u - x between them
         self.kinks: dict[int, Sequence[KinkRecord]] = {}
+        self.breaks = search.problem.profile.breaks(search.problem.law)
+        self.safety = JUMPS if np.any(self.breaks[:, 1] != self.breaks[:, 2]) else SAFETY
         self.missed: dict[int, float] = {}  # fronts -> sup|W_d - W| of the data
         self.plain: dict[int, float] = {}  # fronts -> the error by second order, with no allowance
         self.steps = 0.0  # for each front
@@ -234,19 +241,21 @@ class _Ladder:
     def _run(self, fronts: int, last: bool = False) -> Run | None:
         """A run of which few nodes and times are read, or, the last one, all."""
         problem, grid = (self.search.problem, self.search.grid) if last else (self.few, self.coarse)
-        missed = 0.0
-
-        def solve() -> Run:
-            nonlocal missed
+        try:
             begun = begin(problem, grid.left, fronts)
-            if not begun.resolution.holds:
-                raise RunError("do not resolve the profile")
-            missed = begun.resolution.height
-            return track(problem, grid, begun, self.search.progress)
-
-        run = self.search.attempt(solve, f"{fronts} fronts")
+        except RunError as error:
+            self.search.failed.append(f"{fronts} fronts {str(error).partition('; use')[0]}")
+            return None
+        if not begun.resolution.holds:
+            self.search.failed.append(f"{fronts} fronts do not resolve the profile")
+            return None
+        witness = Witness(problem.end * np.array(BETWEEN), self.coarse.nodes)
+        run = self.search.attempt(
+            lambda: track(problem, grid, begun, self.search.progress, witness), f"{fronts} fronts"
+        )
         if run is not None:
-            self.missed[fronts] = missed
+            self.missed[fronts] = begun.resolution.height
+            self.past[fronts] = np.array(witness.W)
             self.u[fronts] = run.u[self.rows if last else slice(None), :: run.cells // self.coarse.cells]
             self.kinks[fronts] = run.kinks
             self.steps = max(run.steps - problem.kept, 0) / fronts  # each saved time may cut a step short
@@ -259,15 +268,14 @@ class _Ladder:
             return np.inf
         n = max(below)
         length = float(self.search.problem.law.R_derivative(0.0))
-        apart = float(np.abs(self.u[fronts] - self.u[n]).max())
+        apart = max(float(np.abs(of[fronts] - of[n]).max(initial=0.0)) for of in (self.u, self.past))
         apart = max(apart, beside_kinks(self.kinks[fronts], self.kinks[n], self.few.times, length))
         self.plain[fronts] = apart / ((fronts / n) ** 2 - 1.0)
-        return max(SAFETY * (1.0 + FEW / fronts) * self.plain[fronts], self.missed[fronts]) + ROUNDING
+        return max(self.safety * (1.0 + FEW / fronts) * self.plain[fronts], self.missed[fronts]) + ROUNDING
 
     def pilot(self) -> float:
         """How many fronts the tolerance takes; inf if the pilot does not get through."""
-        problem = self.search.problem
-        breaks = len(problem.profile.breaks(problem.law))
+        breaks = len(self.breaks)
         fronts = max(
             PILOT, PER_BREAK * min(breaks, MANY_BREAKS), int(min(np.sqrt(USUAL / self.search.tolerance), MOST_GUESS))
         )
@@ -291,8 +299,8 @@ class _Ladder:
         if estimate <= self.search.tolerance:
             return float(fronts)
         wanted = AIM * self.search.tolerance
-        n = fronts * np.sqrt(SAFETY * self.plain[fronts] / wanted)
-        n = fronts * np.sqrt(SAFETY * (1.0 + FEW / max(n, fronts)) * self.plain[fronts] / wanted)
+        n = fronts * np.sqrt(self.safety * self.plain[fronts] / wanted)
+        n = fronts * np.sqrt(self.safety * (1.0 + FEW / max(n, fronts)) * self.plain[fronts] / wanted)
         return float(np.ceil(max(n, MORE * fronts)))
 
     def work(self, fronts: float) -> float:
