@@ -206,7 +206,7 @@ def _solve(
     vertical_steps = None
     cautions = cells_resolve(problem, grid).caution(f"{grid.cells} cells", "more cells, or the method auto")
     if problem.law.grows_linearly:
-        # on a grid nothing tells of which kink a step has come: steps are numbered after all kinks
+        # a grid does not show from which kink a step came: steps are numbered after all kinks
         taken = max([k.kink for k in kinks] + [e.kink for e in events], default=0)
         vertical_steps, more = steps.result(taken)
         events, doubts = with_dates(in_order(events + more), grid, table, isinstance(problem.profile, Kinks))

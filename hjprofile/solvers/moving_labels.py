@@ -20,7 +20,9 @@ from hjprofile.solvers.panels import POINTS, RULE, TAIL, Panels, interpolation, 
 from hjprofile.solvers.run import Array, Event, KinkRecord
 
 TRY, LABEL = 5e-4, 1.2e-6  # seconds of a step and of a label in it, where they were measured
-CORNER = 1e-3  # part of a panel within which a birth beside a corner is at it; a sliver would halve every step
+CORNER = (
+    1e-3  # part of a panel within which a birth near a corner is one at the corner; a sliver would halve every step
+)
 FLOOR = 1e-13  # least step, as a part of the end
 LEAST = 1e-15  # error of a step, below which it is rounding
 TOO_LONG = "it would take too long"
@@ -153,7 +155,7 @@ class MovingLabels:
 
     def _why(self) -> str:
         if self.found > 0:
-            return f"the labels of kink {self.now.panels.number[self.found - 1]} cannot be told"
+            return f"the labels of kink {self.now.panels.number[self.found - 1]} cannot be determined"
         if self.found < 0:
             return "the labels fold where no kink is known"
         return "steps become too small"
@@ -208,7 +210,7 @@ class MovingLabels:
             p, s = after_start(panels.off[k, 1], k + 1, panels.mesh)
             row = interpolation(np.array([s]))[0]
             sides.append(float(row @ panels.r[p]))
-            with np.errstate(over="ignore"):  # of such a K the status tells
+            with np.errstate(over="ignore"):  # the status reports such a K
                 K = sides[1] * np.exp(row @ self.flux.S[p] + self.flux.c[k + 1])
             (q0, f0), (q1, f1) = (law_q_f(r, self.table) for r in sides)
             if q1 > q0:

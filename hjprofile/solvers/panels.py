@@ -100,7 +100,7 @@ class Panels:
         return np.concatenate([self.r.ravel(), self.X.ravel(), self.totals])
 
     def labels(self) -> Shocks:
-        """Return copies of what a step changes in the labels of shocks, with what it does not."""
+        """Return the labels of shocks, with copies of the arrays that a step changes."""
         return Shocks(self.off.copy(), self.birth, self.power, self.tau.copy(), self.off_top.copy())
 
     def at(self, y: Array, shocks: Shocks) -> Panels:

@@ -23,11 +23,11 @@ from hjprofile.problem.line import moved, tail
 from hjprofile.problem.profiles import TAIL
 from hjprofile.problem.ranges import instance
 from hjprofile.solvers.run import Array, Run
+from hjprofile.solvers.units_of_the_law import COORDINATE
 
 P = ParamSpec("P")
 TOLERANCE = 1e-13  # of the change of time, relative
 SMEAR = 10.0  # cells: a grid's W at the window's end may be off by their width times the largest slope of the tail
-COORDINATE = re.compile(r"\b([tx]) = (-?\d[\d.]*(?:e[-+]?\d+)?)")
 
 
 class Window:

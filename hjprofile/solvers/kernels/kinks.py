@@ -10,7 +10,7 @@ import numpy as np
 from hjprofile.solvers.kernels import compiled, vectorised
 from hjprofile.solvers.kernels.erosion import LANES, eroded, is_table, read
 
-LEAST_JUMP = 0.05  # a weaker jump cannot be told from a steep smooth rise on grids of a thousand cells
+LEAST_JUMP = 0.05  # a weaker jump cannot be distinguished from a steep smooth rise on grids of a thousand cells
 WIDEST = 16  # cells over which a shock may spread; Lax-Friedrichs spreads a jump of 0.4 over this many
 STEEP = LEAST_JUMP / WIDEST  # rise per cell
 FOOT = 0.08  # a rise ends where it falls below this part of its steepest rise per cell
