@@ -20,9 +20,7 @@ from hjprofile.solvers.panels import POINTS, RULE, TAIL, Panels, interpolation, 
 from hjprofile.solvers.run import Array, Event, KinkRecord
 
 TRY, LABEL = 5e-4, 1.2e-6  # seconds of a step and of a label in it, where they were measured
-CORNER = (
-    1e-3  # part of a panel within which a birth near a corner is one at the corner; a sliver would halve every step
-)
+CORNER = 1e-3  # part of a panel within which a birth near a corner is one at it; a sliver would halve every step
 FLOOR = 1e-13  # least step, as a part of the end
 LEAST = 1e-15  # error of a step, below which it is rounding
 TOO_LONG = "it would take too long"

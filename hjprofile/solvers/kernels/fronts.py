@@ -13,9 +13,7 @@ from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.law import law_decay, law_derivatives, law_f, law_flow, law_q_f
 
 STEP_FLOOR = 1e-7  # of the way to a saved time: more steps than it allows, of 0.3 ms each, would take an hour, ...
-REJECTED = (
-    1.2  # times the allowed error, from which on a step is repeated: 4 let bursts pass, such as a narrow feature's exit
-)
+REJECTED = 1.2  # times the allowed error, from which on a step is repeated: 4 let a narrow feature's exit pass
 LONGER = 2.0  # times the step before, at most
 CROSSED = 0.35  # times the estimate by fronts that have crossed: measured, it is too large
 WIDE = 64.0  # times the area of a piece, up to which W between two fronts is read by a cubic
