@@ -126,8 +126,8 @@ def test_three_hundred_unusual_scenes(capsys):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seed", "tolerance"), [(32, 8e-8), (65, 2.5e-3)])
+@pytest.mark.parametrize(("seed", "tolerance"), [(32, 8e-8), (65, 2.5e-3), (165, 1e-2), (194, 1e-2), (267, 1e-2)])
 def test_two_resolutions_that_agree_by_chance(seed, tolerance):
-    """Fronts of these steps converge irregularly, and a difference of two runs may be too small."""
+    """Fronts of these steps converge irregularly, or both runs lack the same features; at 267 the error was 0.6."""
     found = known_truth(seed, os.environ.get("HJPROFILE_TRUTHS"))
     assert judged(seed, tolerance, found).verdict == "met"
