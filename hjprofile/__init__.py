@@ -11,19 +11,9 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from hjprofile.errors import InputError as InputError
     from hjprofile.errors import RunError as RunError
-    from hjprofile.evidence.accuracy import Comparison as Comparison
-    from hjprofile.evidence.accuracy import compare as compare
-    from hjprofile.evidence.accuracy import observed_order as observed_order
-    from hjprofile.evidence.calibration import Calibration as Calibration
-    from hjprofile.evidence.calibration import fit as fit
-    from hjprofile.evidence.chart import chart as chart
-    from hjprofile.evidence.consistency import Consistency as Consistency
-    from hjprofile.evidence.consistency import check as check
-    from hjprofile.evidence.consistency import check_consistency as check_consistency
-    from hjprofile.evidence.slow_erosion import slow_erosion as slow_erosion
     from hjprofile.output.store import load_run as load_run
     from hjprofile.output.store import write_run as write_run
-    from hjprofile.output.sweep import sweep as sweep
+    from hjprofile.output.sweep_results import sweep as sweep
     from hjprofile.problem import Problem as Problem
     from hjprofile.problem.case import Case as Case
     from hjprofile.problem.case import load_case as load_case
@@ -46,23 +36,33 @@ if TYPE_CHECKING:
     from hjprofile.problem.profiles import steps as steps
     from hjprofile.problem.survey import read_survey as read_survey
     from hjprofile.problem.survey import survey as survey
-    from hjprofile.solvers.characteristics import solve_characteristics as solve_characteristics
-    from hjprofile.solvers.fronts import track_fronts as track_fronts
+    from hjprofile.solvers.characteristics.shock_fitting import solve_characteristics as solve_characteristics
+    from hjprofile.solvers.fronts.front_tracking import track_fronts as track_fronts
     from hjprofile.solvers.methods import solve as solve
     from hjprofile.solvers.methods import solve_case as solve_case
     from hjprofile.solvers.methods import solve_conservative as solve_conservative
     from hjprofile.solvers.methods import solve_hj as solve_hj
     from hjprofile.solvers.run import Run as Run
+    from hjprofile.studies.accuracy import Comparison as Comparison
+    from hjprofile.studies.accuracy import compare as compare
+    from hjprofile.studies.accuracy import observed_order as observed_order
+    from hjprofile.studies.calibration import Calibration as Calibration
+    from hjprofile.studies.calibration import fit as fit
+    from hjprofile.studies.chart import chart as chart
+    from hjprofile.studies.consistency import Consistency as Consistency
+    from hjprofile.studies.consistency import check as check
+    from hjprofile.studies.consistency import check_consistency as check_consistency
+    from hjprofile.studies.slow_erosion import slow_erosion as slow_erosion
 
 _MODULES = {
     "errors": ("InputError", "RunError"),
-    "evidence.accuracy": ("Comparison", "compare", "observed_order"),
-    "evidence.calibration": ("Calibration", "fit"),
-    "evidence.chart": ("chart",),
-    "evidence.consistency": ("Consistency", "check", "check_consistency"),
-    "evidence.slow_erosion": ("slow_erosion",),
+    "studies.accuracy": ("Comparison", "compare", "observed_order"),
+    "studies.calibration": ("Calibration", "fit"),
+    "studies.chart": ("chart",),
+    "studies.consistency": ("Consistency", "check", "check_consistency"),
+    "studies.slow_erosion": ("slow_erosion",),
     "output.store": ("load_run", "write_run"),
-    "output.sweep": ("sweep",),
+    "output.sweep_results": ("sweep",),
     "problem": ("Problem",),
     "problem.case": ("Case", "load_case", "shipped_cases"),
     "problem.coefficient": ("Coefficient", "coefficient", "stored_coefficient"),
@@ -70,8 +70,8 @@ _MODULES = {
     "problem.grid": ("Grid",),
     "problem.profiles": ("bumps", "kinks", "points", "profile", "steady", "steps"),
     "problem.survey": ("read_survey", "survey"),
-    "solvers.characteristics": ("solve_characteristics",),
-    "solvers.fronts": ("track_fronts",),
+    "solvers.characteristics.shock_fitting": ("solve_characteristics",),
+    "solvers.fronts.front_tracking": ("track_fronts",),
     "solvers.methods": ("solve", "solve_case", "solve_conservative", "solve_hj"),
     "solvers.run": ("Run",),
 }

@@ -10,13 +10,14 @@ import pytest
 import hjprofile
 
 HOME = Path(hjprofile.__file__).parent
+WINGS = ("grids", "fronts", "characteristics", "layer", "vertical_steps")
 # from the bottom up
 ROOMS = (
-    "errors", "interrupts", "files", "problem", "solvers.kernels", "solvers.run", "monitors", "solvers", "evidence",
-    "output", "cli",
+    "errors", "interrupts", "files", "problem", "solvers.kernels", "solvers.run", "solvers", "studies", "output", "cli",
 )  # fmt: skip
+KERNELS = ("solvers.kernels", *(f"solvers.{wing}.kernels" for wing in WINGS))
 ONLY_IN = {  # package -> the modules and rooms that may import it
-    "numba": ("solvers.kernels",),
+    "numba": KERNELS,
     "pyvista": ("output.vtk",),
     "vtkmodules": ("output.vtk",),
     "matplotlib": ("output.plots",),
@@ -99,9 +100,9 @@ def test_imports_run_one_way(module):
 
 def test_kernels_are_made_of_kernels():
     """What is compiled into one from elsewhere would not be looked at for changes: `kernels/disk_cache.py`."""
-    kernels = [m for m in ROOMED if room(m) == "solvers.kernels"]
+    kernels = [m for m in ROOMED if inside(m, KERNELS)]
     taken = set().union(*(own_imports(tree(m)) for m in kernels)) - {""}
-    assert {m for m in taken if room(m) != "solvers.kernels"} == {"files"}
+    assert {m for m in taken if not inside(m, KERNELS)} == {"files"}
     assert [m for m in kernels if "files" in own_imports(tree(m))] == ["solvers.kernels.disk_cache"]
 
 
@@ -146,14 +147,17 @@ def test_the_front_door(module):
     ("module", "line", "words"),
     [
         ("problem.grid", "from hjprofile.solvers import run", "problem.grid imports solvers"),
-        ("monitors.kinks", "from hjprofile.solvers.march import march", "monitors.kinks imports solvers.march"),
-        ("solvers.run", "import hjprofile.monitors.kinks", "solvers.run imports monitors.kinks"),
-        ("evidence.accuracy", "def f():\n    from hjprofile.output.store import load_run", "imports output.store"),
+        (
+            "solvers.run",
+            "import hjprofile.solvers.grids.kink_tracker",
+            "solvers.run imports solvers.grids.kink_tracker",
+        ),
+        ("studies.accuracy", "def f():\n    from hjprofile.output.store import load_run", "imports output.store"),
         ("output.store", "from hjprofile.cli import main", "imports the command line"),
         ("cli", "if True:\n    import hjprofile.cli", "imports the command line"),
-        ("solvers.hj", "from numba import njit", "solvers.hj imports numba"),
+        ("solvers.grids.march", "from numba import njit", "solvers.grids.march imports numba"),
         ("output.plots", "import pyvista as pv", "output.plots imports pyvista"),
-        ("evidence.accuracy", "import matplotlib.figure", "imports matplotlib.figure"),
+        ("studies.accuracy", "import matplotlib.figure", "imports matplotlib.figure"),
     ],
 )
 def test_a_wrong_import_is_found(module, line, words):
@@ -162,7 +166,7 @@ def test_a_wrong_import_is_found(module, line, words):
 
 def test_a_right_import_is_not():
     lines = "from hjprofile.solvers.run import State\nfrom hjprofile.problem import Problem\nimport hjprofile\n"
-    assert list(faults("monitors.kinks", ast.parse(lines))) == []
+    assert list(faults("solvers.grids.kink_tracker", ast.parse(lines))) == []
 
 
 @pytest.mark.parametrize("module", MODULES)

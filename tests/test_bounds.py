@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 import hjprofile as hj
-from hjprofile.monitors.bounds import MONOTONE, BoundsMonitor
 from hjprofile.problem.profiles import steps
-from hjprofile.solvers import hj as hj_form
-from hjprofile.solvers.kernels import watch
-from hjprofile.solvers.kernels.erosion import Rational
-from hjprofile.solvers.kernels.watch import frozen_step
-from hjprofile.solvers.kernels.wavefront import Godunov
+from hjprofile.solvers.grids import hamilton_jacobi as hj_form
+from hjprofile.solvers.grids.bounds_monitor import MONOTONE, BoundsMonitor
+from hjprofile.solvers.grids.kernels import watch
+from hjprofile.solvers.grids.kernels.sweep_law import Rational
+from hjprofile.solvers.grids.kernels.watch import frozen_step
+from hjprofile.solvers.grids.kernels.wavefront import Godunov
 from hjprofile.solvers.methods import HJ_METHODS, PROMISES
 from hjprofile.solvers.run import State
 

@@ -11,9 +11,9 @@ import pytest
 import tomli_w
 
 import hjprofile as hj
-from hjprofile.evidence import calibration
-from hjprofile.evidence.calibration import _undetermined
 from hjprofile.solvers.closed_forms import closed_form
+from hjprofile.studies import calibration
+from hjprofile.studies.calibration import _undetermined
 
 BEFORE = """x,height
 0,0

@@ -11,13 +11,14 @@ from numpy.polynomial import Polynomial
 from random_profiles import random_bumps, random_pieces
 
 import hjprofile as hj
-from hjprofile.solvers import characteristics, label_events
+from hjprofile.solvers.characteristics import label_events
+from hjprofile.solvers.characteristics import shock_fitting as characteristics
+from hjprofile.solvers.characteristics.kernels import labels
+from hjprofile.solvers.characteristics.label_events import parted
+from hjprofile.solvers.characteristics.moving_labels import Lost, MovingLabels
+from hjprofile.solvers.characteristics.panels import RULE, cut_into_panels, interpolation, tails
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink
 from hjprofile.solvers.invariant import law_table
-from hjprofile.solvers.kernels import labels
-from hjprofile.solvers.label_events import parted
-from hjprofile.solvers.moving_labels import Lost, MovingLabels
-from hjprofile.solvers.panels import RULE, cut_into_panels, interpolation, tails
 
 LAWS = {"rational": hj.rational(), "log": hj.log(), "power": hj.power(3.0)}
 LAWS["user"] = hj.expression("sqrt(1+q) - 1/sqrt(1+q)")

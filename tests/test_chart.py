@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 import hjprofile as hj
 from hjprofile import cli
-from hjprofile.evidence import chart as charts
-from hjprofile.evidence.chart import Point, pareto, seconds_to
 from hjprofile.solvers.methods import METHODS
+from hjprofile.studies import chart as charts
+from hjprofile.studies.chart import Point, pareto, seconds_to
 
 KINK = hj.Problem(hj.rational(), hj.kinks([-2.0], [1.0]), end=0.5)
 SMOOTH = hj.Problem(hj.log(), hj.bumps([0.5], [-2.0], [0.3]), end=0.2)

@@ -19,13 +19,13 @@ import tomli_w
 import hjprofile
 from hjprofile.cli import solving
 from hjprofile.cli.common import Progress, app
-from hjprofile.evidence import dependence
-from hjprofile.evidence import stability as study
 from hjprofile.output.checkpoint import NAME, Checkpoint
 from hjprofile.output.store import load_run
 from hjprofile.problem.case import load_case, shipped_cases
-from hjprofile.solvers import conservation
+from hjprofile.solvers.grids import conservation
 from hjprofile.solvers.methods import solve_case
+from hjprofile.studies import dependence
+from hjprofile.studies import stability as study
 
 SCENE = {
     "title": "Zwei Knicke",

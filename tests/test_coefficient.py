@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from scipy.special import lambertw
 
 import hjprofile as hj
-from hjprofile.monitors.bounds import FOR_ANY_FACTOR, BoundsMonitor
-from hjprofile.solvers import conservation
-from hjprofile.solvers import hj as hj_form
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink
-from hjprofile.solvers.factor import Factor
-from hjprofile.solvers.grid_law import grid_law
+from hjprofile.solvers.grids import conservation
+from hjprofile.solvers.grids import hamilton_jacobi as hj_form
+from hjprofile.solvers.grids.bounds_monitor import FOR_ANY_FACTOR, BoundsMonitor
+from hjprofile.solvers.grids.factor import Factor
+from hjprofile.solvers.grids.grid_law import grid_law
 from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS
 from hjprofile.solvers.run import Breakdown
 
@@ -289,7 +289,7 @@ def test_fronts_and_characteristics_refuse(tmp_path):
         hj.solve(problem, 1e-3)
     with pytest.raises(hj.InputError, match="a chart needs the exact solution"):
         hj.chart("case", problem, hj.Grid(-5.0, 400))
-    from hjprofile.evidence.stability import stability
+    from hjprofile.studies.stability import stability
 
     with pytest.raises(hj.InputError, match="nothing about a prescribed coefficient"):
         stability("case", problem, hj.Grid(-5.0, 400))

@@ -9,12 +9,12 @@ import pytest
 from test_plots import assert_legible
 
 import hjprofile as hj
-from hjprofile.evidence.accuracy import compare, kink_distances, shared
 from hjprofile.output.plots import style
 from hjprofile.output.plots.comparison import LONGEST, draw_comparison
 from hjprofile.output.plots.style import TWO_RUNS
 from hjprofile.output.store import write_run
 from hjprofile.problem.units import Units
+from hjprofile.studies.accuracy import compare, kink_distances, shared
 
 NAMES = ("coarse", "fine")
 

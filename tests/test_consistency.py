@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 import hjprofile as hj
-from hjprofile.evidence.consistency import Consistency, _within, check_consistency
-from hjprofile.evidence.records import records
-from hjprofile.monitors.kinks import KinkTracker
-from hjprofile.solvers import conservation, march, moving_labels
-from hjprofile.solvers import hj as hj_form
-from hjprofile.solvers.kernels import wavefront
+from hjprofile.solvers.characteristics import moving_labels
+from hjprofile.solvers.grids import conservation, march
+from hjprofile.solvers.grids import hamilton_jacobi as hj_form
+from hjprofile.solvers.grids.kernels import wavefront
+from hjprofile.solvers.grids.kink_tracker import KinkTracker
+from hjprofile.studies.consistency import Consistency, _within, check_consistency
+from hjprofile.studies.records import records
 
 KINK = (hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0, snapshots=6), hj.Grid(-5.0, 2000))
 

@@ -15,10 +15,10 @@ from scipy.io import netcdf_file
 
 import hjprofile as hj
 from hjprofile.errors import InputError
-from hjprofile.evidence.sweep import members
-from hjprofile.output import sweep as sweeps
+from hjprofile.output import sweep_results as sweeps
 from hjprofile.output.archive import pack, unpack
 from hjprofile.output.folder import RECORD, Owner, ResultFolder
+from hjprofile.studies.sweep import members
 
 COPIES = 200
 WRONG = [None, True, "", "x", -1, 0, 1e308, float("nan"), float("inf"), 10**400, [], [1], {}, {"a": 1}, "x" * 10**6]

@@ -7,8 +7,8 @@ import pytest
 
 import hjprofile as hj
 from hjprofile.cli import main
-from hjprofile.solvers import front_data
 from hjprofile.solvers.data_resolution import cells_resolve, fine_sample
+from hjprofile.solvers.fronts import front_data
 
 
 def cliff(gap=0.01):

@@ -5,10 +5,10 @@ import pytest
 
 import hjprofile as hj
 from hjprofile.errors import InputError
-from hjprofile.evidence import dependence as study
-from hjprofile.evidence.dependence import distance_bound, largest_distances, observed_constant
-from hjprofile.output.plots.studies import draw_dependence
+from hjprofile.output.plots.study_pictures import draw_dependence
 from hjprofile.problem.coefficient import coefficient
+from hjprofile.studies import dependence as study
+from hjprofile.studies.dependence import distance_bound, largest_distances, observed_constant
 
 T2 = hj.Problem(hj.rational(), hj.bumps([0.8, -0.3], [-5.0, -3.0], [1.0, 0.5]), end=2.0)
 

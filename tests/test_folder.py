@@ -37,7 +37,7 @@ def names(folder):
 def stand_ins(monkeypatch):
     """Studies that take no time: their files are at stake here."""
     verdict = type("Verdict", (), {"case": "case", "passes": True, "report": dict, "__str__": lambda self: "passes"})
-    monkeypatch.setattr("hjprofile.evidence.consistency.check", lambda case, progress: verdict())
+    monkeypatch.setattr("hjprofile.studies.consistency.check", lambda case, progress: verdict())
     monkeypatch.setattr("hjprofile.output.workers.processes", lambda count: __import__("contextlib").nullcontext())
 
 
@@ -198,14 +198,14 @@ def test_the_account_of_a_run_names_what_could_not_be_made(in_tmp, call, monkeyp
 
 
 def test_a_picture_of_a_study_that_fails_costs_no_data(in_tmp, call, monkeypatch):
-    from hjprofile.evidence import stability
+    from hjprofile.studies import stability
 
     def failing(*_):
         raise ValueError("no font")
 
     trial = stability.Trial("case", "godunov", "cfl", 0.5, "holds", "", 1.0)
     monkeypatch.setattr(stability, "stability", lambda *_: [trial])
-    monkeypatch.setattr("hjprofile.output.plots.studies.draw_stability", failing)
+    monkeypatch.setattr("hjprofile.output.plots.study_pictures.draw_stability", failing)
     code, out, err = call("stability", write_case("case.toml"))
     assert (code, err) == (0, "") and names("results/case") == {"stability.csv"}
     assert "WARNING: stability.png could not be drawn (ValueError: no font); the data are complete\n" in out

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import hjprofile as hj
-from hjprofile.evidence.fractional import fractional_steps
-from hjprofile.monitors.bounds import FOR_ANY_FACTOR
 from hjprofile.problem.case import parse_case
+from hjprofile.solvers.grids.bounds_monitor import FOR_ANY_FACTOR
 from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS, check_method
+from hjprofile.studies.fractional import fractional_steps
 
 TWO_KINKS = hj.Problem(hj.rational(), hj.kinks([-7.0, -5.0], [0.4, 1.2]), end=1.5, snapshots=4)
 GRID = hj.Grid(-10.0, 1000)

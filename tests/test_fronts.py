@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 import hjprofile as hj
 from hjprofile.problem.case import shipped_cases
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink
-from hjprofile.solvers.front_data import FAN, cut_into_fronts
-from hjprofile.solvers.fronts import _Tracker, begin
+from hjprofile.solvers.fronts.front_data import FAN, cut_into_fronts
+from hjprofile.solvers.fronts.front_tracking import _Tracker, begin
+from hjprofile.solvers.fronts.kernels.exact_fronts import narrowed
 from hjprofile.solvers.invariant import law_table
-from hjprofile.solvers.kernels.exact_fronts import narrowed
 from hjprofile.solvers.kernels.law import law_decay, law_q_f
 
 LAWS = {

@@ -15,12 +15,12 @@ import pytest
 import tomli_w
 
 import hjprofile as hj
-from hjprofile.evidence.stability import Trial
 from hjprofile.output.plots import style
 from hjprofile.output.plots.animation import animation
 from hjprofile.output.plots.comparison import draw_comparison
 from hjprofile.output.plots.runs import draw_factor, pictures
-from hjprofile.output.plots.studies import stability_picture
+from hjprofile.output.plots.study_pictures import stability_picture
+from hjprofile.studies.stability import Trial
 
 
 @lru_cache

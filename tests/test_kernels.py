@@ -12,14 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hjprofile as hj
-from hjprofile.solvers import conservation
-from hjprofile.solvers import hj as hj_form
-from hjprofile.solvers.factor import Factor
-from hjprofile.solvers.grid_law import grid_law
-from hjprofile.solvers.high_order import ssp_rk2, ssp_rk4
-from hjprofile.solvers.kernels import grid as kernels
-from hjprofile.solvers.kernels import wavefront
-from hjprofile.solvers.march import march
+from hjprofile.solvers.grids import conservation
+from hjprofile.solvers.grids import hamilton_jacobi as hj_form
+from hjprofile.solvers.grids.factor import Factor
+from hjprofile.solvers.grids.grid_law import grid_law
+from hjprofile.solvers.grids.high_order import ssp_rk2, ssp_rk4
+from hjprofile.solvers.grids.kernels import grid_loops as kernels
+from hjprofile.solvers.grids.kernels import wavefront
+from hjprofile.solvers.grids.march import march
 
 LAWS = {"rational": hj.rational(), "log": hj.log(), "power": hj.power(2.0), "expression": hj.expression("q/(1+q)")}
 NONLOCAL = wavefront.Nonlocal()
@@ -144,10 +144,10 @@ def test_a_run_goes_on_where_slopes_outgrow_the_table(monkeypatch):
     problem = hj.Problem(hj.log(), hj.steps([-6.0, -0.5], [0.9]), end=1.5, snapshots=2)
     grid = hj.Grid(-6.5, 400)
     wide = hj.solve_hj(problem, grid)
-    monkeypatch.setattr("hjprofile.solvers.grid_law.HEADROOM", 1)
+    monkeypatch.setattr("hjprofile.solvers.grids.grid_law.HEADROOM", 1)
     assert wide.q.max() > 10.0 and grid_law(hj.log(), wide.q[0]).q_most == 3.0
     assert np.abs(hj.solve_hj(problem, grid).u - wide.u).max() <= 1e-13
-    monkeypatch.setattr("hjprofile.solvers.grid_law.GridLaw.covering", lambda law, q: law)
+    monkeypatch.setattr("hjprofile.solvers.grids.grid_law.GridLaw.covering", lambda law, q: law)
     assert np.abs(hj.solve_hj(problem, grid).u - wide.u).max() > 0.1  # so that the test can fail
 
 
@@ -318,7 +318,7 @@ def test_nothing_is_compiled_twice(tmp_path):
     """A second process finds what the first has compiled, for a formula and for a table."""
     script = (
         "import hjprofile as hj\n"
-        "from hjprofile.solvers.kernels.wavefront import hj_pass\n"
+        "from hjprofile.solvers.grids.kernels.wavefront import hj_pass\n"
         "for law in (hj.rational(), hj.log(), hj.power(2.0), hj.expression('q/(1+q)')):\n"
         "    hj.solve_hj(hj.Problem(law, hj.kinks([-1.0], [0.5]), end=0.1, snapshots=2), hj.Grid(-2.0, 50))\n"
         "print(sum(hj_pass.stats.cache_hits.values()), sum(hj_pass.stats.cache_misses.values()))\n"

@@ -5,10 +5,10 @@ import oracles
 import pytest
 
 import hjprofile as hj
-from hjprofile.monitors.kinks import Sighting, link
 from hjprofile.solvers.closed_forms import travelling_kink
-from hjprofile.solvers.kernels.erosion import Rational
-from hjprofile.solvers.kernels.kinks import find_kinks
+from hjprofile.solvers.grids.kernels.find_kinks import find_kinks
+from hjprofile.solvers.grids.kernels.sweep_law import Rational
+from hjprofile.solvers.grids.kink_tracker import Sighting, link
 
 GODUNOV_2000 = {"grid": hj.Grid(-10.0, 2000), "method": "godunov"}
 

@@ -15,9 +15,9 @@ import hjprofile as hj
 from hjprofile.output.checkpoint import Checkpoint
 from hjprofile.problem import LAYER_METHOD
 from hjprofile.problem.case import load_case, parse_case, resolved_case
-from hjprofile.solvers import conservation
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, steady_slope
-from hjprofile.solvers.march import march
+from hjprofile.solvers.grids import conservation
+from hjprofile.solvers.grids.march import march
 from hjprofile.solvers.methods import METHODS, solve_case
 
 T2 = hj.bumps([0.8, -0.3], [-5.0, -3.0], [1.0, 0.5])
@@ -168,7 +168,7 @@ def test_other_methods_refuse_a_layer(method, tmp_path):
 
 def test_evidence_about_the_limit_refuses_a_layer_in_a_sentence():
     problem, grid = hj.Problem(hj.rational(), KINK, end=1.0, thickness=0.1), hj.Grid(-8.0, 100)
-    from hjprofile.evidence.stability import stability
+    from hjprofile.studies.stability import stability
 
     for call in (hj.check_consistency, lambda p, g: hj.chart("one", p, g), lambda p, g: stability("one", p, g)):
         with pytest.raises(hj.InputError, match="by the method conservative-telescoping only"):

@@ -15,16 +15,16 @@ from hypothesis import strategies as st
 from oracles import SteepPair, bump_blow_up, isotonic_profile, longest_step
 
 import hjprofile as hj
-from hjprofile.monitors.vertical_steps import KINDS, Layer, StepMonitor, _fit, find_steps
 from hjprofile.problem import CARRY_STEPS
 from hjprofile.problem.case import parse_case
-from hjprofile.solvers import conservation
-from hjprofile.solvers import hj as hj_form
-from hjprofile.solvers.grid_law import grid_law
-from hjprofile.solvers.kernels import steps as kernels
-from hjprofile.solvers.kernels import telescoping
+from hjprofile.solvers.grids import conservation
+from hjprofile.solvers.grids import hamilton_jacobi as hj_form
+from hjprofile.solvers.grids.grid_law import grid_law
 from hjprofile.solvers.methods import METHODS
-from hjprofile.solvers.vertical_steps import step_law
+from hjprofile.solvers.vertical_steps.kernels import steps as kernels
+from hjprofile.solvers.vertical_steps.kernels import telescoping
+from hjprofile.solvers.vertical_steps.step_fronts import step_law
+from hjprofile.solvers.vertical_steps.step_monitor import KINDS, Layer, StepMonitor, _fit, find_steps
 
 LAW = hj.erosion_law(lambda q: q + q / (1 + q), derivative=lambda q: 1 + 1 / (1 + q) ** 2, growth="linear")
 POSITIONS, AMPLITUDES = [-3.0, -2.5], [3.0, 5.0]

@@ -11,13 +11,13 @@ import tomli_w
 from bad_cases import PROFILES, VALID, with_files
 
 import hjprofile as hj
-from hjprofile.evidence.dependence import dependence
-from hjprofile.evidence.fractional import fractional_steps
-from hjprofile.evidence.stability import stability
 from hjprofile.output.plots.animation import animation
 from hjprofile.output.store import write_run
 from hjprofile.problem.case import parse_case
 from hjprofile.problem.ranges import RANGES, as_number
+from hjprofile.studies.dependence import dependence
+from hjprofile.studies.fractional import fractional_steps
+from hjprofile.studies.stability import stability
 
 NUMBERS = [1e308, -1e308, 5e-324, -0.0, float("inf"), float("nan"), 10**400, -(10**400), 1e-16, 1e16]
 OTHERS = [True, "1", None, [], 1j, np.array([0.5]), np.datetime64("2024-05-01"), {}]

@@ -12,10 +12,10 @@ from matplotlib import image
 from matplotlib.text import Text
 
 import hjprofile as hj
-from hjprofile.evidence.tracing import traceable_law
 from hjprofile.output.plots import style
 from hjprofile.output.plots.runs import draw_diagram, draw_factor, draw_profiles, pictures
-from hjprofile.output.plots.studies import draw_fit
+from hjprofile.output.plots.study_pictures import draw_fit
+from hjprofile.studies.tracing import traceable_law
 
 COLUMN = 85.0 / 25.4  # inches, of a journal
 SMALLEST = 6.0  # points that can be read there

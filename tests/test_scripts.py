@@ -12,8 +12,8 @@ import pytest
 import tomli_w
 
 import hjprofile as hj
-from hjprofile.evidence import chart, consistency, dependence, stability
 from hjprofile.problem.case import shipped_cases
+from hjprofile.studies import chart, consistency, dependence, stability
 
 SCENE = {
     "title": "Zwei Knicke",
@@ -147,7 +147,7 @@ def test_check_is_a_function_for_tests(scene, tmp_path):
     assert "FAILS   identity:godunov" in str(verdict) and "passes  budget:godunov" in str(verdict)
     assert consistency.Consistency("scene", "", COMPARISONS[:2])
     (tmp_path / "test_mine.py").write_text(
-        "import hjprofile as hj\nfrom hjprofile.evidence import consistency\n"
+        "import hjprofile as hj\nfrom hjprofile.studies import consistency\n"
         "def test_mine(monkeypatch):\n"
         "    bad = consistency.Check('identity:godunov', [2000], [3.0], None, 1e-10, False, 'max <= 1e-10')\n"
         "    monkeypatch.setattr(consistency, 'check_consistency', lambda *_: [bad])\n"

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hjprofile as hj
-from hjprofile.solvers import conservation
-from hjprofile.solvers import hj as hj_form
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink
-from hjprofile.solvers.grid_law import grid_law
+from hjprofile.solvers.grids import conservation
+from hjprofile.solvers.grids import hamilton_jacobi as hj_form
+from hjprofile.solvers.grids.grid_law import grid_law
 from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS
 from hjprofile.solvers.run import Breakdown
 
@@ -291,7 +291,7 @@ def test_a_slope_below_minus_one_is_no_state(method):
 
 def test_steps_that_stay_too_short_end_the_run(monkeypatch):
     """Along q = -0.99 ln K falls by hundreds, and the steps of WENO5 are 1e-217: only so many are taken."""
-    monkeypatch.setattr("hjprofile.solvers.march.PATIENCE", 100)
+    monkeypatch.setattr("hjprofile.solvers.grids.march.PATIENCE", 100)
     problem = hj.Problem(hj.power(3.0), hj.steps([-1.0, -0.5], [-0.99]), end=1.0)
     run = hj.solve_hj(problem, hj.Grid(-3.0, 100), "weno5")
     assert run.status.startswith("stopped at t = ") and "fell below 1e-09 of the run" in run.status

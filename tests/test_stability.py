@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import hjprofile as hj
-from hjprofile.evidence import stability as study
-from hjprofile.evidence.stability import FAILS, HOLDS, LOSES, OSCILLATES, measured_limit
-from hjprofile.output.plots.studies import draw_stability
+from hjprofile.output.plots.study_pictures import draw_stability
+from hjprofile.studies import stability as study
+from hjprofile.studies.stability import FAILS, HOLDS, LOSES, OSCILLATES, measured_limit
 
 KINK = hj.Problem(hj.rational(), hj.kinks([-6.0], [1.0]), end=3.0)
 

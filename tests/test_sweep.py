@@ -17,13 +17,13 @@ import tomli_w
 import xarray as xr
 
 import hjprofile as hj
-from hjprofile.evidence import sweep as evidence
-from hjprofile.evidence.sweep import QUANTITIES
 from hjprofile.output import workers
 from hjprofile.output.folder import RECORD
-from hjprofile.output.sweep import KEPT, netcdf
+from hjprofile.output.sweep_results import KEPT, netcdf
 from hjprofile.problem.case import read_choices
 from hjprofile.solvers.methods import solve_case
+from hjprofile.studies import sweep as evidence
+from hjprofile.studies.sweep import QUANTITIES
 
 SCENE = {
     "title": "Zwei Knicke",
@@ -242,7 +242,7 @@ def test_heights_on_different_grids_are_left_out(scene):
 
 def test_heights_that_a_file_cannot_hold_are_left_out(scene, monkeypatch):
     """The numbers of the members are not lost over it."""
-    monkeypatch.setattr("hjprofile.output.sweep.LARGEST_VARIABLE", 2 * 81 * 8)
+    monkeypatch.setattr("hjprofile.output.sweep_results.LARGEST_VARIABLE", 2 * 81 * 8)
     for ends, there in (([0.1], True), ([0.1, 0.2], False)):
         assert hj.sweep(scene, {"time.end": ends}, folder="out").quantity("end").tolist() == ends
         with xr.open_dataset("out/sweep.nc") as data:

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.special import lambertw
 
 import hjprofile as hj
-from hjprofile.evidence.tracing import kink_paths, place, slope_between, trace_back, traceable_law
+from hjprofile.studies.tracing import kink_paths, place, slope_between, trace_back, traceable_law
 
 A, START, END = 1.2, -5.0, 4.0  # a travelling kink (theory, section 6a), which is at x = -1.31 in the end
 

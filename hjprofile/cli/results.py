@@ -35,9 +35,9 @@ def compare(result: Somewhere, other: Somewhere, /, *, out: Into = None, json: J
 
     The grids must be the same, or one a refinement of the other. Writes comparison.png and comparison.svg.
     """
-    from hjprofile.evidence.accuracy import compare as norms_of
     from hjprofile.output.plots.comparison import comparison_pictures
     from hjprofile.output.store import load_run
+    from hjprofile.studies.accuracy import compare as norms_of
 
     first, second = load_run(result), load_run(other)
     norms = norms_of(first, second)

@@ -92,8 +92,8 @@ def sweep(
     Writes sweep.csv and sweep.nc; ends with exit code 1 if no member could be solved.
     """
     from hjprofile.output.folder import MEMBERS
-    from hjprofile.output.sweep import account, report
-    from hjprofile.output.sweep import sweep as run_sweep
+    from hjprofile.output.sweep_results import account, report
+    from hjprofile.output.sweep_results import sweep as run_sweep
     from hjprofile.output.workers import processes
     from hjprofile.problem.case import read_choices
 
@@ -117,11 +117,11 @@ def fit(
     The case's own profile is the survey before. Writes fit.json, fit.png and fitted.toml, the case with the fitted
     values.
     """
-    from hjprofile.evidence.calibration import fit as fit_case
     from hjprofile.output.fit_files import fit_account, fit_files, fit_report
-    from hjprofile.output.plots.studies import fit_picture
+    from hjprofile.output.plots.study_pictures import fit_picture
     from hjprofile.output.store import write_picture
     from hjprofile.problem.survey import read_survey
+    from hjprofile.studies.calibration import fit as fit_case
 
     folder, (loaded,) = load_cases((case,), out)
     x, height, _ = read_survey(after)

@@ -10,9 +10,9 @@ from hjprofile.errors import InputError, RunError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hjprofile.evidence.chart import Point, Reference
     from hjprofile.output.folder import ResultFolder
     from hjprofile.output.store import Written
+    from hjprofile.studies.chart import Point, Reference
 
 
 @app.command
@@ -21,8 +21,8 @@ def check(*case: CasePath, out: Out = None, json: Json = False) -> None:
 
     Writes check.json; ends with exit code 1 if a comparison fails.
     """
-    from hjprofile.evidence.consistency import check as check_case
     from hjprofile.output.store import to_json
+    from hjprofile.studies.consistency import check as check_case
 
     if not case:
         raise InputError("check needs at least one CASE: a TOML file or the name of a shipped case", "the-command-line")
@@ -47,10 +47,10 @@ def chart(*case: CasePath, out: Out = None, json: Json = False) -> None:
 
     Writes chart.csv and chart.png.
     """
-    from hjprofile.evidence.chart import Point, pareto
-    from hjprofile.evidence.chart import chart as chart_case
-    from hjprofile.output.plots.studies import chart_picture
+    from hjprofile.output.plots.study_pictures import chart_picture
     from hjprofile.output.store import to_csv, write_picture
+    from hjprofile.studies.chart import Point, pareto
+    from hjprofile.studies.chart import chart as chart_case
 
     if not case:
         raise InputError("chart needs at least one CASE: a TOML file or the name of a shipped case", "the-command-line")
@@ -79,10 +79,10 @@ def stability(case: CasePath, /, *, out: Out = None, json: Json = False) -> None
 
     Writes stability.csv and stability.png.
     """
-    from hjprofile.evidence.stability import Trial, measured_limit
-    from hjprofile.evidence.stability import stability as scan
-    from hjprofile.output.plots.studies import stability_picture
+    from hjprofile.output.plots.study_pictures import stability_picture
     from hjprofile.output.store import to_csv, write_picture
+    from hjprofile.studies.stability import Trial, measured_limit
+    from hjprofile.studies.stability import stability as scan
 
     folder, (loaded,) = load_cases((case,), out)
     folder.open()
@@ -111,10 +111,10 @@ def dependence(case: CasePath, /, *, out: Out = None, json: Json = False) -> Non
 
     Writes dependence.csv and dependence.png; ends with exit code 1 if a distance exceeds its bound.
     """
-    from hjprofile.evidence.dependence import Distance, summary
-    from hjprofile.evidence.dependence import dependence as study
-    from hjprofile.output.plots.studies import dependence_picture
+    from hjprofile.output.plots.study_pictures import dependence_picture
     from hjprofile.output.store import to_csv, write_picture
+    from hjprofile.studies.dependence import Distance, summary
+    from hjprofile.studies.dependence import dependence as study
 
     folder, (loaded,) = load_cases((case,), out)
     folder.open()

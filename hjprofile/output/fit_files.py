@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import hjprofile
-from hjprofile.evidence.calibration import FRONTS, Calibration, Parameter
 from hjprofile.output.store import to_json
 from hjprofile.problem.case import to_toml
+from hjprofile.studies.calibration import FRONTS, Calibration, Parameter
 
 
 def fit_files(found: Calibration) -> dict[str, bytes | str]:

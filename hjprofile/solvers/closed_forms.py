@@ -13,13 +13,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from hjprofile.monitors.snapshot_bounds import BOUNDS, SnapshotBounds
 from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Kinks, Profile, Steady
 from hjprofile.solvers.run import Array, Event, KinkRecord, Run
+from hjprofile.solvers.snapshot_bounds import BOUNDS, SnapshotBounds
 
 ROUNDING = 1e-13  # of u of order 1; measured 2e-14 at most for rational laws, 1e-12 for others, which the volume shows
 

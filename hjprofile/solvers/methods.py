@@ -9,7 +9,18 @@ from types import MappingProxyType
 import numpy as np
 
 from hjprofile.errors import InputError, did_you_mean
-from hjprofile.monitors.bounds import (
+from hjprofile.problem import OFF_GRID, Problem
+from hjprofile.problem.case import DEFAULT_CFL, DEFAULT_METHOD, Case, resolved_case
+from hjprofile.problem.grid import Grid
+from hjprofile.problem.identity import identity
+from hjprofile.problem.profiles import TAIL, Kinks
+from hjprofile.problem.ranges import as_number, instance, number, shown
+from hjprofile.solvers.characteristics.shock_fitting import COARSEST, FINEST, solve_characteristics
+from hjprofile.solvers.data_resolution import cells_resolve
+from hjprofile.solvers.fronts.front_tracking import track_fronts
+from hjprofile.solvers.grids import conservation
+from hjprofile.solvers.grids import hamilton_jacobi as hj
+from hjprofile.solvers.grids.bounds_monitor import (
     HIGHER_ORDER,
     LOCAL,
     MONOTONE,
@@ -20,30 +31,20 @@ from hjprofile.monitors.bounds import (
     BoundsMonitor,
     Promises,
 )
-from hjprofile.monitors.kinks import KinkTracker
-from hjprofile.monitors.vertical_steps import StepMonitor, with_dates
-from hjprofile.problem import OFF_GRID, Problem
-from hjprofile.problem.case import DEFAULT_CFL, DEFAULT_METHOD, Case, resolved_case
-from hjprofile.problem.grid import Grid
-from hjprofile.problem.identity import identity
-from hjprofile.problem.profiles import TAIL, Kinks
-from hjprofile.problem.ranges import as_number, instance, number, shown
-from hjprofile.solvers import conservation, hj
-from hjprofile.solvers.characteristics import COARSEST, FINEST, solve_characteristics
-from hjprofile.solvers.data_resolution import cells_resolve
-from hjprofile.solvers.fronts import track_fronts
-from hjprofile.solvers.high_order import ORDERS
-from hjprofile.solvers.march import NOBODY, Scheme, march
+from hjprofile.solvers.grids.high_order import ORDERS
+from hjprofile.solvers.grids.kink_tracker import KinkTracker
+from hjprofile.solvers.grids.march import NOBODY, Scheme, march
 from hjprofile.solvers.run import Keeper, Monitor, Run, in_order
 from hjprofile.solvers.select import least_work
-from hjprofile.solvers.vertical_steps import step_law
+from hjprofile.solvers.vertical_steps.step_fronts import step_law
+from hjprofile.solvers.vertical_steps.step_monitor import StepMonitor, with_dates
 from hjprofile.solvers.whole_line import also_on_the_whole_line
 
 Progress = Callable[[float], None]
 
 HJ_METHODS = (*hj.FLUXES, *ORDERS)
 CONSERVATIVE_METHODS = ("conservative", *conservation.FLUXES, *conservation.HIGH_ORDER)
-# What each method on a grid keeps to; see monitors/bounds.py
+# What each method on a grid keeps to; see bounds_monitor.py
 PROMISES: Mapping[str, Promises] = MappingProxyType(
     {
         **dict.fromkeys((*HJ_METHODS, *CONSERVATIVE_METHODS), HIGHER_ORDER),

@@ -36,7 +36,7 @@ class State(NamedTuple):
     steps: int  # taken so far
     first: int  # the cell of the grid at which q begins
     q: Array  # cell means of the excess slope, where it is not known to be 0
-    law: Any  # for compiled loops, see kernels/erosion.py
+    law: Any  # for compiled loops, see grids/kernels/sweep_law.py
     speed: float  # largest K f' met in the last steps
     bound: float  # of K f' in the last steps, and ...
     dt: float  # ... their length; 0 before the first

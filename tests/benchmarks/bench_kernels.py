@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import hjprofile as hj
-from hjprofile.solvers.grid_law import grid_law
-from hjprofile.solvers.kernels.wavefront import (
+from hjprofile.solvers.grids.grid_law import grid_law
+from hjprofile.solvers.grids.kernels.wavefront import (
     LANES,
     Godunov,
     LaxFriedrichs,

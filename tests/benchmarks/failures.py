@@ -8,10 +8,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import hjprofile as hj
-from hjprofile.evidence import stability as study
-from hjprofile.output.plots.studies import stability_picture
-from hjprofile.solvers import hj as hj_form
-from hjprofile.solvers.march import Breakdown
+from hjprofile.output.plots.study_pictures import stability_picture
+from hjprofile.solvers.grids import hamilton_jacobi as hj_form
+from hjprofile.solvers.grids.march import Breakdown
+from hjprofile.studies import stability as study
 
 DOCS = Path(__file__).parents[2] / "docs"
 GOOD, BAD, WORSE = "#0072B2", "#D55E00", "#CC79A7"

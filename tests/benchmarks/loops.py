@@ -8,7 +8,7 @@ import math
 import numba
 import numpy as np
 
-from hjprofile.solvers.kernels import wavefront
+from hjprofile.solvers.grids.kernels import wavefront
 
 compiled = numba.njit(cache=True, error_model="numpy")
 

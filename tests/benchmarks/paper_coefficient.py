@@ -12,8 +12,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import oracles
 
 import hjprofile as hj
-from hjprofile.evidence.fractional import Fractional, fractional_steps
 from hjprofile.solvers.methods import HJ_METHODS
+from hjprofile.studies.fractional import Fractional, fractional_steps
 
 FIGURES = Path(__file__).parents[2] / "docs" / "figures"
 BLUE, ORANGE, GREEN, PINK = "#0072B2", "#D55E00", "#009E73", "#CC79A7"

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import hjprofile as hj
-from hjprofile.evidence.dependence import dependence, summary
-from hjprofile.output.plots.studies import dependence_picture
+from hjprofile.output.plots.study_pictures import dependence_picture
+from hjprofile.studies.dependence import dependence, summary
 
 FIGURE = Path(__file__).resolve().parents[2] / "docs" / "figures" / "dependence.png"
 SHOWN = "breaking_bump"

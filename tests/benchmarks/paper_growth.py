@@ -9,9 +9,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import hjprofile as hj
-from hjprofile.solvers import hj as hj_form
-from hjprofile.solvers.kernels.erosion import Tabulated
-from hjprofile.solvers.march import march
+from hjprofile.solvers.grids import hamilton_jacobi as hj_form
+from hjprofile.solvers.grids.kernels.sweep_law import Tabulated
+from hjprofile.solvers.grids.march import march
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from oracles import SteepPair, bump_blow_up, isotonic_profile, longest_step

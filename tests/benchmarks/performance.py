@@ -24,11 +24,11 @@ import peers
 from rich.console import Console
 
 import hjprofile as hj
-from hjprofile.evidence.chart import Point, chart, seconds_to
-from hjprofile.output.plots.studies import chart_picture
-from hjprofile.solvers.kernels import grid as grid_kernels
-from hjprofile.solvers.kernels.wavefront import LANES
+from hjprofile.output.plots.study_pictures import chart_picture
+from hjprofile.solvers.grids.kernels import grid_loops as grid_kernels
+from hjprofile.solvers.grids.kernels.wavefront import LANES
 from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS
+from hjprofile.studies.chart import Point, chart, seconds_to
 
 DOCS = Path(__file__).parents[2] / "docs"
 SIZES = 1_000, 10_000, 100_000, 1_000_000

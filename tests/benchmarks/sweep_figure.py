@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 import hjprofile as hj
-from hjprofile.evidence.sweep import members, run_member
 from hjprofile.output.workers import processes
+from hjprofile.studies.sweep import members, run_member
 
 FIGURE = Path(__file__).resolve().parents[2] / "docs" / "figures" / "sweep.png"
 EXPONENTS = [0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0]

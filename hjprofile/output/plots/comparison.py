@@ -10,10 +10,10 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from hjprofile.evidence.accuracy import kink_distances, shared
 from hjprofile.output.plots import style
 from hjprofile.output.plots.style import INK, TIMES, TWO_RUNS, styled
 from hjprofile.solvers.run import Run
+from hjprofile.studies.accuracy import kink_distances, shared
 
 SHOWN = 4  # shared times at which profiles are drawn
 ROUNDING = 1e-12  # distances that are none

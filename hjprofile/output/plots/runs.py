@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from hjprofile.evidence.tracing import kink_paths, slope_between, trace_back, traceable_law
 from hjprofile.output.plots import style
 from hjprofile.output.plots.style import (
     DEPOSITED,
@@ -27,6 +26,7 @@ from hjprofile.output.plots.style import (
     styled,
 )
 from hjprofile.solvers.run import Array, Run
+from hjprofile.studies.tracing import kink_paths, slope_between, trace_back, traceable_law
 
 RASTER = 420, 640  # times and places at which the (x, t) plane is coloured
 TRACED = 14, 8  # characteristics that end at the last time, and at the top

@@ -19,7 +19,7 @@ def _sources():
     All of them, because a kernel contains the functions that it calls, of whichever file.
     """
     digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted(Path(__file__).parent.glob("*.py")):
+    for path in sorted(Path(__file__).parent.parent.rglob("kernels/*.py")):
         digest.update(hashlib.sha256(path.read_bytes()).digest())
     return digest.digest()
 

@@ -1,0 +1,261 @@
+"""Sweeps: a case over the product of varied values, as one table; what is done is kept as it comes."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import hjprofile
+from hjprofile.errors import InputError, RunError
+from hjprofile.files import write_whole
+from hjprofile.output.archive import pack, unpack
+from hjprofile.output.folder import MEMBERS, ResultFolder, owner_of
+from hjprofile.output.store import to_csv, to_json
+from hjprofile.problem.case import find_case
+from hjprofile.problem.ranges import instance, plain, shown
+from hjprofile.solvers.run import Array
+from hjprofile.studies.sweep import QUANTITIES, Member, Outcome, members, run_members, text_of
+
+KEPT = "members"  # folder of what is done
+SHOWN = 14  # rows of the account
+LARGEST_VARIABLE = 2**31  # bytes of a netCDF-3 variable without an unlimited dimension, as scipy writes it
+_IN_ACCOUNT = ("eroded_volume", "outflow", "largest_lowering", "kinks_at_end")
+_COLUMNS = ("status", "method", *QUANTITIES, "broken_bounds", "wall_seconds")
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A case that was run once for each choice of values.
+
+    Attributes:
+        name, title: of the case.
+        vary: dotted key -> its values.
+        values: for each member one value a key, in the order of the product: the last key varies fastest.
+        outcomes: what came of each member, in the same order.
+        x: the nodes, if all members share them and their heights fit in one netCDF variable, else None.
+        recalled: how many members were taken from an earlier sweep.
+    """
+
+    name: str
+    title: str
+    vary: Mapping[str, list[Any]]
+    values: Sequence[tuple[Any, ...]]
+    outcomes: Sequence[Outcome]
+    x: Array | None
+    recalled: int
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """How many values each key has."""
+        return tuple(map(len, self.vary.values()))
+
+    def quantity(self, name: str) -> Array:
+        """A column of sweep.csv that holds numbers, over the grid of the values, `shape`; NaN where a member failed."""
+        return np.array([o.quantities.get(name, np.nan) for o in self.outcomes]).reshape(self.shape)
+
+
+def sweep(
+    case: str | Path,
+    vary: Mapping[str, Iterable[Any]],
+    executor: Executor | None = None,
+    folder: str | Path | None = None,
+    resume: bool = False,
+    progress: Callable[[float], None] | None = None,
+) -> Sweep:
+    """Runs a case for every choice of values, as in {"erosion.m": [0.5, 1, 2], "time.end": [1.0, 3.0]}.
+
+    Members run one after another, or over any executor of `concurrent.futures`; they are the same to the last bit. A
+    failed member has its reason as status. With a folder, `sweep.csv` and `sweep.nc` are written to it, and members
+    are kept there as they are done: with `resume` those are not run again. Raises InputError for bad input, before
+    anything is run; RunError if workers are lost or the sweep is interrupted.
+    """
+    if not isinstance(vary, Mapping) or not all(isinstance(key, str) for key in vary):
+        raise InputError(f"vary = {shown(vary)} must be a table of keys and their values")
+    if executor is not None:
+        instance("executor", executor, Executor)
+    choices = {key: _list(key, values) for key, values in vary.items()}
+    made = members(case, choices)
+    outcomes: dict[int, Outcome] = {i: Outcome(m.refused) for i, m in enumerate(made) if m.refused}
+    place = kept = None
+    recalled = 0
+    if folder is not None:
+        place = ResultFolder(folder, owner_of([find_case(case)]), keep=MEMBERS if resume else "").open()
+        kept = place.path / KEPT
+        place.claim(MEMBERS, "sweep.csv", "sweep.nc")
+        for name in ("sweep.csv", "sweep.nc"):
+            (place.path / name).unlink(missing_ok=True)
+        if resume:
+            found = {i: _recall(kept, m) for i, m in enumerate(made) if not m.refused}
+            outcomes |= {i: outcome for i, outcome in found.items() if outcome}
+            recalled = sum(outcome is not None for outcome in found.values())
+        else:
+            for path in kept.glob("*.npz"):
+                path.unlink()
+    todo = {i: m for i, m in enumerate(made) if i not in outcomes}
+    try:
+        for i, outcome in run_members(todo, executor):
+            outcomes[i] = outcome
+            if kept and outcome.done:
+                _keep(kept, made[i], outcome)
+            if progress:
+                progress(len(outcomes) / len(made))
+    except (RunError, KeyboardInterrupt) as error:
+        if not kept:
+            raise
+        done = sum(outcome.done for outcome in outcomes.values())
+        what = f"{str(error) or 'interrupted'}; {done} of {len(made)} members are kept in {kept}"
+        raise RunError(f"{what}, and --resume goes on from there") from None
+    grids = {m.grid for m in made if m.grid}
+    title = made[0].content.get("title", made[0].name)
+    found_all = [outcomes[i] for i in range(len(made))]
+    fits = sum(m.grid.nodes.nbytes for m in made if m.grid) < LARGEST_VARIABLE
+    x = grids.pop().nodes if len(grids) == 1 and fits else None
+    result = Sweep(made[0].name, title, choices, [m.values for m in made], found_all, x, recalled)
+    if place:
+        table = to_csv([*choices, *_COLUMNS], _rows(result))
+        place.write({"sweep.nc": netcdf(result), "sweep.csv": table})
+    return result
+
+
+def _list(key: str, values: Any) -> list[Any]:
+    scalar = isinstance(values, np.ndarray) and values.ndim == 0
+    if scalar or isinstance(values, (str, Mapping)) or not isinstance(values, Iterable):
+        raise InputError(f"{key} needs a list of values, one or more")
+    return [plain(value) for value in values]
+
+
+def _keep(folder: Path, member: Member, outcome: Outcome) -> None:
+    """Arrays and text only, as in a checkpoint: reading it runs no code."""
+    content = outcome._replace(u=None)._asdict() | {"identity": member.identity}
+    archive = pack({"u": np.asarray(outcome.u), "outcome": np.array(to_json(content))})
+    write_whole(folder / f"{member.identity}.npz", archive)
+
+
+def _recall(folder: Path, member: Member) -> Outcome | None:
+    """What was kept of the same run; None if there is nothing that can be read: then it is run again."""
+    try:
+        kept = unpack(folder / f"{member.identity}.npz")
+        content, u = json.loads(str(kept["outcome"])), kept["u"]
+        if content.pop("identity") != member.identity or member.grid is None or u.shape != member.grid.nodes.shape:
+            return None
+        numbers = {name: _number(content["quantities"][name]) for name in QUANTITIES}
+        return Outcome(**content | {"quantities": numbers, "u": u, "wall_seconds": _number(content["wall_seconds"])})
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return None
+
+
+def _number(value: float | None) -> float:
+    return np.nan if value is None else float(value)
+
+
+def _rows(result: Sweep) -> Iterator[tuple]:
+    for values, o in zip(result.values, result.outcomes, strict=True):
+        numbers = (_plain(o.quantities.get(name)) for name in QUANTITIES)
+        cells = (v if isinstance(v, (int, float)) and not isinstance(v, bool) else text_of(v) for v in values)
+        yield *cells, o.status, o.method, *numbers, o.broken_bounds, o.wall_seconds
+
+
+def _plain(value: float | None) -> Any:
+    """Counts without a point."""
+    return int(value) if value is not None and value == value and float(value).is_integer() else value
+
+
+def netcdf(result: Sweep) -> bytes:
+    """`sweep.nc`: netCDF-3 with CF attributes, a dimension for each varied key.
+
+    It holds no times of clocks: the same members give the same bytes, whoever ran them.
+    """
+    from scipy.io import netcdf_file
+
+    buffer = io.BytesIO()
+    file = netcdf_file(buffer, "w", version=2)
+    file.Conventions = "CF-1.8"
+    file.title, file.hjprofile_version = result.title.encode() or b" ", hjprofile.__version__
+
+    def put(name: str, kind: str, dimensions: tuple[str, ...], data: Any, **attributes: Any) -> Any:
+        variable = file.createVariable(name, kind, dimensions)
+        variable[:] = data
+        for attribute, value in attributes.items():
+            setattr(variable, attribute, value)
+        return variable
+
+    def put_texts(name: str, dimensions: tuple[str, ...], texts: Sequence[str], long_name: str) -> Any:
+        coded = [text.encode() for text in texts]
+        length = max(map(len, coded)) or 1
+        file.createDimension(f"{name}_length", length)
+        shape = tuple(file.dimensions[d] for d in dimensions)
+        letters = np.array(coded, dtype=f"S{length}").view("S1").reshape(*shape, length)
+        return put(name, "c", (*dimensions, f"{name}_length"), letters, long_name=long_name, _Encoding="utf-8")
+
+    names = {key: key.replace(".", "_") for key in result.vary}
+    dimensions, labels = tuple(names.values()), []
+    for key, values in result.vary.items():
+        name = names[key]
+        file.createDimension(name, len(values))
+        if all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values):
+            put(name, "f8", (name,), values, long_name=key, units="1")
+        else:
+            put(name, "i4", (name,), range(len(values)), long_name=f"{key}, number of the value", units="1")
+            put_texts(f"{name}_label", (name,), [text_of(v) for v in values], key)
+            labels.append(f"{name}_label")
+    with_labels = {"coordinates": " ".join(labels)} if labels else {}
+    for name, long_name in QUANTITIES.items():
+        put(name, "f8", dimensions, result.quantity(name), long_name=long_name, units="1", **with_labels)
+    texts = {
+        "status": ("done, or why the member failed", [o.status for o in result.outcomes]),
+        "method": ("method that solved it", [o.method for o in result.outcomes]),
+        "broken_bounds": ("bounds that did not hold", [o.broken_bounds for o in result.outcomes]),
+    }
+    for name, (long_name, values) in texts.items():
+        variable = put_texts(name, dimensions, values, long_name)
+        for attribute, value in with_labels.items():
+            setattr(variable, attribute, value)
+    if result.x is not None:
+        file.createDimension("x", result.x.size)
+        long_name = "distance from the top of the slope, uphill positive"
+        put("x", "f8", ("x",), result.x, long_name=long_name, units="1", axis="X")
+        nothing = np.full(result.x.size, np.nan)
+        u = np.array([nothing if o.u is None else o.u for o in result.outcomes]).reshape(*result.shape, -1)
+        put("u", "f8", (*dimensions, "x"), u, long_name="height at the last saved time", units="1", **with_labels)
+    file.flush()
+    data = buffer.getvalue()
+    file.close()
+    return data
+
+
+def report(result: Sweep) -> dict[str, Any]:
+    """The table as a dictionary: a row for each member, with the columns of `sweep.csv`."""
+    columns = [*result.vary, *_COLUMNS]
+    members = [dict(zip(columns, row, strict=True)) for row in _rows(result)]
+    return {"case": result.name, "title": result.title, "recalled": result.recalled, "members": members}
+
+
+def account(result: Sweep) -> str:
+    """What came of a sweep, in some twenty lines at most."""
+    done = sum(o.done for o in result.outcomes)
+    failed = [(v, o.status) for v, o in zip(result.values, result.outcomes, strict=True) if not o.done]
+    counts = f"{len(result.outcomes)} members, {done} done"
+    counts += f" ({result.recalled} of them before)" if result.recalled else ""
+    lines = [f"{result.title}: {counts}, {len(failed)} failed"]
+    table = [[*result.vary, *_IN_ACCOUNT]]
+    for values, o in list(zip(result.values, result.outcomes, strict=True))[:SHOWN]:
+        numbers = [f"{o.quantities[n]:.6g}" for n in _IN_ACCOUNT] if o.done else ["failed", "", "", ""]
+        table.append([*(text_of(v) for v in values), *numbers])
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    lines += ["  " + "  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in table]
+    if len(result.outcomes) > SHOWN:
+        lines.append(f"  ... and {len(result.outcomes) - SHOWN} more")
+    if failed:
+        which = ", ".join(f"{key} = {text_of(v)}" for key, v in zip(result.vary, failed[0][0], strict=True))
+        lines.append(f"  first failure, at {which}: {failed[0][1]}")
+    broken = sum(bool(o.broken_bounds) for o in result.outcomes)
+    if broken:
+        lines.append(f"  WARNING: bounds did not hold in {broken} members; broken_bounds names them")
+    return "\n".join(lines)

@@ -1,0 +1,1 @@
+"""Shock-fitted characteristics."""

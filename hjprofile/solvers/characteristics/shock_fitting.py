@@ -1,0 +1,167 @@
+"""Shock-fitted characteristics: the solution to rounding, through births, merges and exits of kinks (theory, §5).
+
+Over the labels of characteristics r = R(q) and X are a system of ordinary differential equations with one quadrature;
+a shock is the pair of labels that meet in it, found by algebra. Steps are of order 8, panels are halved where they need
+it, and events are found in their own time.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from hjprofile.errors import InputError, RunError
+from hjprofile.problem import Problem
+from hjprofile.problem.case import resolved_case
+from hjprofile.problem.grid import Grid
+from hjprofile.problem.ranges import as_number, shown
+from hjprofile.solvers.characteristics.label_events import FINE
+from hjprofile.solvers.characteristics.moving_labels import Lost, MovingLabels
+from hjprofile.solvers.characteristics.panels import Panels, cut_into_panels, interpolation
+from hjprofile.solvers.invariant import law_table
+from hjprofile.solvers.kernels.law import LawTable, law_q_f
+from hjprofile.solvers.run import Array, KinkRecord, Run, in_order
+from hjprofile.solvers.snapshot_bounds import BOUNDS, SnapshotBounds
+from hjprofile.solvers.units_of_the_law import Units, in_units_of_the_law
+from hjprofile.solvers.whole_line import also_on_the_whole_line
+
+TOLERANCE = 1e-12
+FINEST, COARSEST = 1e-13, 1e-4  # that may be asked for: finer is rounding
+STEPS = 1e-7  # coarsest tolerance of the steps: coarser ones save nothing, and at 1e-4 they can miss a birth
+DATA = 1e-3  # error of the panels at t = 0, as a part of the tolerance of steps: both runs have it
+COARSER, COARSE_STEPS = 10.0, 1e-6  # ratio of the tolerances of the two runs for the estimate; the second's most
+READ = 1.5e-3  # seconds of a saved time, where it was measured
+BUDGET = 30.0  # allowance of a budget in tolerances, of the size of its terms; 2000 random runs kept it
+FEWEST_STEPS = 20  # for an estimate of rounding
+ROUNDING = 1e-14  # of W of order 1, after some hundred steps; measured 7e-14 at most on the rational closed forms
+
+
+@also_on_the_whole_line
+def solve_characteristics(
+    problem: Problem,
+    grid: Grid | None = None,
+    tolerance: float | None = None,
+    progress: Callable[[float], None] | None = None,
+    patience: float = np.inf,
+) -> Run:
+    """Solve by shock-fitted characteristics, with steps and panels to `tolerance`, and read the result on a grid.
+
+    The method is in theory, §5; the tolerance is 1e-12 by default. A second run with a coarser tolerance gives
+    `error_estimate`, the error of u over the whole run. The grid is by default 2000 cells over the profile. `patience`
+    is the largest work in counted seconds, the same on every machine. If the method cannot go on, `status` gives time,
+    position and reason, and the last saved time is the last good one. Raises InputError for bad input or a flux at the
+    left end, RunError if the data cannot be cut.
+    """
+    asked, tolerance = tolerance, TOLERANCE if tolerance is None else as_number(tolerance)
+    if not FINEST <= tolerance <= COARSEST:
+        raise InputError(f"tolerance = {shown(asked)} must lie between {FINEST:g} and {COARSEST:g}")
+    if problem.profile.inflow:
+        raise InputError("characteristics need q = 0 at the left end; this profile has a flux that enters there")
+    grid = problem.grid() if grid is None else grid
+    problem.check(grid, "characteristics")
+    steps = float(np.clip(tolerance / Units.of(problem.law).length, FINEST, STEPS))
+    run = _two_runs(problem, grid, steps, progress, patience)
+    return replace(run, case=resolved_case(problem, grid, "characteristics", tolerance=asked))
+
+
+@in_units_of_the_law
+def _two_runs(
+    problem: Problem, grid: Grid, steps: float, progress: Callable[[float], None] | None, patience: float
+) -> Run:
+    """Return a run with a tolerance of its steps, and its error by comparison with a coarser one."""
+    try:
+        panels = cut_into_panels(problem, grid.left, DATA * steps)
+    except RunError as error:
+        raise RunError(f"stopped at t = 0: {error}; use the method fronts") from None
+    table = _table(problem, panels)
+    first = MovingLabels(problem, panels, table, min(COARSER * steps, COARSE_STEPS), patience)
+    coarse, W_coarse = _march(first, problem, grid)
+    fine, W = _march(MovingLabels(problem, panels, table, steps, first.patience), problem, grid, progress)
+    if not len(W):
+        raise RunError(fine.status)
+    apart = float(np.abs(W_coarse[: len(W)] - W).max()) if len(W) <= len(W_coarse) else COARSER * steps
+    # of r = R(q) of order 1, in each step; the budget is that of a length times u
+    rounding = 5.0 * np.finfo(float).eps * (FEWEST_STEPS + fine.steps) * (1.0 + float(np.abs(W).max()))
+    budget = 10.0 * fine.volume_budget_error / -float(panels.mesh.base[0])
+    return replace(
+        fine,
+        wall_seconds=fine.wall_seconds + coarse.wall_seconds,
+        error_estimate=max(2.0 * apart, budget) + rounding,
+    )
+
+
+def _march(
+    solver: MovingLabels, problem: Problem, grid: Grid, progress: Callable[[float], None] | None = None
+) -> tuple[Run, Array]:
+    """Through all saved times, or as far as the method gets; and W from the left end on, with less rounding than u."""
+    start, profile = solver.now.panels, problem.profile
+    ends = np.array([start.mesh.base[0] + start.X[0, 0], 0.0])
+    mass = float(np.diff(profile.W(ends, problem.law))[0])
+    volume = start.volume()
+    # a step may add its tolerance, a panel its own, and the grid reads u to rounding
+    room = BUDGET * (solver.requested + ROUNDING) * (1.0 + abs(volume) + float(np.ptp(start.mesh.I)))
+    read = room + 4.0 * ROUNDING / grid.dx
+    allowed = {n: (room if n == "volume_budget" else read, "the tolerance") for n in BOUNDS}
+    # the least r lies a little below the least found on so many points, by less than that below the least on few
+    few, many = float(start.r.min()), float((start.r @ interpolation(FINE.s).T).min())
+    watch = SnapshotBounds(grid, mass, volume, allowed, law_q_f(max(2.0 * many - few, 0.5 * many), solver.table)[0])
+    kept, rows, kinks, seconds, status = problem.times, [], list[KinkRecord](), 0.0, "done"
+    for target in np.unique(np.append(kept, problem.end)).tolist():
+        started = time.perf_counter()
+        try:
+            solver.advance(target)
+        except Lost as lost:
+            status = f"stopped at t = {solver.now.t:.6g}, before t = {target:.6g}: {lost}; use the method fronts"
+            break
+        finally:
+            seconds += time.perf_counter() - started
+        solver.patience -= READ
+        W, K = solver.read(grid.nodes)
+        panels = solver.now.panels
+        watch.observe(target, W, panels.volume(), *panels.totals.tolist())
+        found = solver.kinks() if target < problem.end else solver.finish()
+        if target in kept:
+            rows.append((W, K))
+            kinks += found
+        if progress:
+            progress(target / problem.end if problem.end else 1.0)
+    W, K = (np.array([row[i] for row in rows]).reshape(-1, grid.cells + 1) for i in (0, 1))
+    run = Run(
+        title=problem.title,
+        method="characteristics",
+        case=resolved_case(problem, grid, "characteristics"),
+        time=kept[: len(W)],
+        x=grid.nodes,
+        x_cell=grid.centres,
+        u=grid.nodes + W + float(profile.W(grid.nodes[:1], problem.law)[0]),
+        q=np.diff(W, axis=1) / grid.dx,
+        K=K,
+        status=status,
+        steps=solver.steps,
+        wall_seconds=seconds,
+        kinks=kinks,
+        events=in_order(solver.events, solver.moment),
+        bounds=watch.bounds,
+        eroded_volume=watch.eroded_volume,
+        outflow=float(solver.now.panels.totals[1]),
+        volume_budget_error=watch.budget_error,
+        units=profile.units,
+        account=profile.account,
+    )
+    return run, W
+
+
+@np.errstate(over="ignore")  # R is 0 where f overflows, far from the r that is looked for
+def _table(problem: Problem, panels: Panels) -> LawTable:
+    """The law over all that r may become: dead labels go beyond what is alive."""
+    from scipy.optimize import brentq
+
+    most = float(panels.r.max() + np.ptp(panels.mesh.I))
+    low, high = (
+        np.expm1(brentq(lambda v, r: float(problem.law.R(np.expm1(v))) - r, -30.0, 60.0, args=(r,)))
+        for r in (float(panels.r.min()), most)
+    )
+    return law_table(problem.law, 0.5 * (1.0 + min(low, 0.0)) - 1.0, 2.0 * high + 1.0)

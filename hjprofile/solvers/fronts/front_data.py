@@ -1,0 +1,308 @@
+"""Initial data of front tracking: pieces of constant I = W + R(q), cut where the error needs them (theory, §5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hjprofile.errors import RunError
+from hjprofile.problem import Problem
+from hjprofile.problem.erosion import ErosionLaw
+from hjprofile.problem.profiles import Kinks
+from hjprofile.solvers.data_resolution import Sample, apart, divided, fine_sample
+from hjprofile.solvers.invariant import law_table
+from hjprofile.solvers.kernels.law import LawTable, start_pieces
+from hjprofile.solvers.run import Array
+from hjprofile.solvers.vertical_steps.kernels.steps import StepLaw
+from hjprofile.solvers.vertical_steps.kernels.steps import start_pieces as start_steep_pieces
+from hjprofile.solvers.vertical_steps.step_fronts import step_law
+
+FOLDS = 5000.0  # e-folds of K that are cut through: the time for a run grows with their square, 20 s for these
+FAN = 0.25  # largest fall of ln R across one front: stronger ones, where q changes its sign, run off towards q = -1
+FLAT = 1e-10  # largest |q| of the critical slope
+NODES = 33  # of the path of q along a fan, on which its fronts are placed
+SWALLOWED = 16.0  # distances to the nearest shock to which a fall opens at most
+LEAST = 0.3  # of |W_x| + |R_x|, the least |I_x| that is counted: where they cancel, pieces would be too long
+FEWEST_IN_FAN = 4  # fronts of the fan of a stated jump
+PART = 1 / 32  # of the range of ln(1 + q), the largest change between two intervals of the sample
+MARKS = 0.25  # largest number of marks, as a part of the fronts: with more, weak ones are merged
+LARGEST = 0.15  # mean spacing of fronts that steps of a law of linear growth assume, in decay lengths R'(0)
+JUMP = 1e-12  # smallest jump of q at a break
+
+
+@dataclass
+class Fronts:
+    """Fronts and the pieces between them.
+
+    Attributes:
+        x, jump: positions and jumps of I, from left to right; x may repeat where a fan opens.
+        label: the number of the kink that a front is, or 0.
+        smooth: whether the piece right of a front stands for a stretch in which I varies.
+        area: |change of I| times length of a piece, the same for all pieces of smooth data.
+        spacing: mean length of the pieces, weighted by the change of I.
+        most_eroded: the largest |f|.
+        r0: R(0), r on the far left.
+        top: W at x = 0.
+        sample: the profile on a fine sample, or None if the fronts are the data.
+    """
+
+    x: Array
+    jump: Array
+    label: Array
+    smooth: Array
+    area: float
+    spacing: float
+    most_eroded: float
+    r0: float
+    top: float
+    sample: Sample | None = None
+
+    @property
+    def kinks_only(self) -> bool:
+        """Whether the fronts are the data themselves, not an approximation."""
+        return not self.smooth.any()
+
+
+def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts, LawTable | StepLaw]:
+    """Piecewise constant I whose W is exact at the ends of the pieces; downward jumps become fans of small fronts."""
+    law, profile = problem.law, problem.profile
+    breaks = profile.breaks(law)
+    if isinstance(profile, Kinks):
+        cuts, sample, quantum = breaks[:, 0], None, 0.0
+    else:
+        cuts, sample, quantum, breaks = _placed(problem, left, fronts, breaks)
+    area = quantum**2
+    ends = np.append(cuts, 0.0)
+    W = profile.W(ends, law)
+    W -= W[0]
+    mass, h = np.diff(W), np.diff(ends)
+    mean = np.divide(mass, h, out=np.zeros_like(mass), where=h > 0)
+
+    reached_q = np.concatenate([mean, breaks[:, 1:].ravel(), [0.0]])
+    ceiling = float(np.max(law.R(reached_q)) + np.ptp(W))
+    # a front that jumps down lowers the q on its right a little where the exact fan would not
+    floor = (1.0 + float(np.min(reached_q))) / 8.0 - 1.0
+    table: LawTable | StepLaw
+    table = step_law(law, floor) if law.grows_linearly else law_table(law, floor, _slope_at(law, 1.1 * ceiling))
+    r0 = float(law.R(0.0))
+    r = law.R(breaks[:, 2]) if sample is None else _start_of_pieces(law, table, mass, h)
+    I = W[:-1] + r
+    jump = np.diff(np.concatenate([[r0], I]))
+    smooth = np.abs(mass) > 1e-15 if sample is not None else np.zeros(h.size, dtype=bool)
+
+    upward = np.isin(cuts, breaks[breaks[:, 2] > breaks[:, 1] + JUMP, 0])
+    label = np.where(upward, np.cumsum(upward), 0)
+    present = upward | (np.abs(jump) > 1e-15)
+    members = present.astype(np.int64)
+    levels = np.empty(0)
+    if sample is not None:
+        r_left = np.append(r0, I[:-1]) - W[:-1]
+        levels, fan = _levels(problem, sample, quantum, cuts, mean, breaks, r_left, r)
+        members = np.where(fan > 0, fan + 1, members)
+    owner = np.repeat(np.arange(h.size), members)
+    last = np.append(np.diff(owner) > 0, True)[: owner.size]
+    if sample is not None:
+        reached = I[owner]
+        reached[~last] = W[owner[~last]] + np.exp(levels)
+        jumps = np.diff(reached, prepend=r0)
+    else:
+        jumps = jump[owner]
+    flags = np.where(last, smooth[owner], True)
+    # a front without a jump is left out: the piece on its left continues
+    gone = np.maximum(np.searchsorted(owner, np.flatnonzero(~present & (members == 0))) - 1, 0)
+    if owner.size:
+        flags[gone] |= smooth[~present & (members == 0)]
+    weight = np.abs(jump) * smooth
+    spacing = float(weight @ h / weight.sum()) if weight.any() else -float(cuts[0]) / fronts
+    spacing = min(spacing, LARGEST * float(law.R_derivative(0.0)))
+    if sample is None:
+        area = -float(cuts[0]) * float(np.abs(jump).sum()) / fronts**2
+    most_eroded = float(np.abs(law.f(reached_q)).max())
+    data = Fronts(cuts[owner], jumps, label[owner] * last, flags, area, spacing, most_eroded, r0, float(W[-1]), sample)
+    return data, table
+
+
+class _Fans(NamedTuple):
+    """Fans along which q falls: ln R and the need of fronts up to there, shape (fans, NODES)."""
+
+    level: Array
+    need: Array
+
+
+def _placed(problem: Problem, left: float, fronts: int, breaks: Array) -> tuple[Array, Sample, float, Array]:
+    """Return the left ends of pieces, a fine sample of the profile, the need of a piece, and the breaks that are cuts.
+
+    Where more than a part MARKS of the fronts would be jumps, only the strongest jump of each piece is a cut, and the
+    others are merged: W stays exact at the ends of pieces, and `compare_data` bounds the error between them.
+    """
+    start = problem.profile.start(tail=1e-14)
+    start = max(start, left) if np.isfinite(start) and start < 0.0 else left
+    sample = fine_sample(problem, left, part=PART)
+    inside = (breaks[:, 0] > start) & (breaks[:, 0] < 0.0)
+    jumps = np.abs(breaks[:, 2] - breaks[:, 1]) > JUMP
+    if np.count_nonzero(inside) > MARKS * fronts:  # corners alone need no cut
+        inside &= jumps
+    marked = breaks[inside]
+    many = marked.shape[0] > MARKS * fronts
+    shocks = breaks[breaks[:, 2] > breaks[:, 1] + JUMP, 0]
+    need = _need(problem, sample, np.empty(0) if many else breaks[jumps, 0], shocks)
+    s = np.append(0.0, np.cumsum(need * np.diff(sample.x)))
+    total = float(s[-1])
+    if not many:
+        total += float(_fans(problem, sample, shocks, *breaks[breaks[:, 1] > breaks[:, 2] + JUMP].T).need[:, -1].sum())
+    if not total > 0.0:
+        return np.array([start]), sample, 0.0, breaks
+    s *= fronts / total
+    if many:  # the strongest jump of each piece
+        piece = np.floor(np.interp(marked[:, 0], sample.x, s)).astype(int)
+        strength = np.abs(np.diff(np.log1p(marked[:, 1:]), axis=1)[:, 0])
+        order = np.lexsort((-strength, piece))
+        first = order[np.append(True, np.diff(piece[order]) > 0)]
+        marked = marked[np.sort(first)]
+    at_start = breaks[breaks[:, 0] == start]
+    # the critical slope on the right begins with an end of a piece, lest the last piece reach into it
+    sloping = np.flatnonzero(np.abs(sample.q) > FLAT)
+    ends = sample.x[sloping[-1:] + 1]
+    ends = ends[ends > start]
+    marks = np.unique(np.concatenate([[start], marked[:, 0], ends, [0.0]]))
+    at = np.interp(marks, sample.x, s)
+    parts = np.maximum(np.round(np.diff(at)), 1).astype(int)
+    cuts = np.interp(divided(at, parts), s, sample.x)
+    cuts[np.append(0, np.cumsum(parts))] = marks
+    cuts = apart([cuts], start, 0.0)
+    return _folded(problem, cuts), sample, total / fronts, np.concatenate([at_start, marked])
+
+
+def _need(problem: Problem, sample: Sample, jumps: Array, shocks: Array) -> Array:
+    """Return the need of fronts per length between the positions of the sample; at `jumps` I has no derivative.
+
+    A piece of the length h in which I changes by D errs by a multiple of h D, its area. Where characteristics part at
+    the rate λ_x it grows longer, by λ_x t. Pieces of equal area have the density sqrt(|I_x| (1 + λ_x t)).
+    """
+    law, x, q = problem.law, sample.x, sample.q
+    h = np.diff(x)
+    with np.errstate(all="ignore"):
+        between = 0.5 * (h[1:] + h[:-1])
+        K = np.exp(np.maximum(sample.ln_K[1:-1], 0.0))
+        f, slope = law.f(q), law.derivative(q)
+        decay, change = 0.5 * (q[1:] + q[:-1]), np.diff(law.R(q)) / between
+        rate = np.maximum(np.abs(decay + change), LEAST * (np.abs(decay) + np.abs(change)))
+        parting = K * (np.diff(slope) / between - 0.5 * (f * slope)[1:] - 0.5 * (f * slope)[:-1])
+        duration = np.minimum(_duration(problem, x[1:-1], q[1:], K), _duration(problem, x[1:-1], q[:-1], K))
+        longer = 1.0 + np.minimum(np.maximum(parting, 0.0) * duration, _room(x[1:-1], shocks) / between)
+        node = np.sqrt(rate * longer)
+    known = np.isfinite(node) & ~np.isin(x[1:-1], jumps)
+    node = np.where(known, node, 0.0)
+    count = np.append(0.0, known) + np.append(known, 0.0)
+    return (np.append(0.0, node) + np.append(node, 0.0)) / np.maximum(count, 1.0)
+
+
+def _fans(problem: Problem, sample: Sample, shocks: Array, x: Array, before: Array, after: Array) -> _Fans:
+    """Return the fans at x, along q from `before` down to `after`."""
+    law = problem.law
+    part = np.linspace(0.0, 1.0, NODES)
+    q = np.expm1(np.log1p(before)[:, None] * (1.0 - part) + np.log1p(after)[:, None] * part)
+    K = np.exp(np.maximum(np.interp(x, sample.x, sample.ln_K), 0.0))[:, None]
+    R, duration = law.R(q), _duration(problem, x[:, None], q, K)
+    opening = np.maximum(K * np.diff(law.derivative(q)) * np.minimum(duration[:, 1:], duration[:, :-1]), 0.0)
+    opening *= np.minimum(1.0, _room(x, shocks)[:, None] / np.maximum(opening.sum(axis=1, keepdims=True), 1e-300))
+    need = np.cumsum(np.sqrt(np.maximum(-np.diff(R), 0.0) * opening), axis=1)
+    return _Fans(np.log(R), np.hstack([np.zeros((x.size, 1)), need]))
+
+
+def _room(x: Array, shocks: Array) -> Array:
+    """Return the largest width to which a fall at x opens, before it leaves or the nearest shock swallows it."""
+    at = np.searchsorted(shocks, x)
+    nearest = np.minimum(x - np.append(-np.inf, shocks)[at], np.append(shocks, np.inf)[at] - x)
+    return np.minimum(-x, SWALLOWED * nearest)
+
+
+def _duration(problem: Problem, x: Array, q: Array, K: Array) -> Array:
+    """Return the time for which a characteristic moves as at first: till the end, till it leaves or till q changes.
+
+    A negative q rises by q' = K f² in the time |q|/q'.
+    """
+    law = problem.law
+    with np.errstate(all="ignore"):
+        rise = np.where(q < 0.0, law.R(q) / (K * -law.f(q)), np.inf)
+    return np.minimum(np.minimum(problem.end, -x / (K * law.derivative(q))), rise)
+
+
+def _levels(
+    problem: Problem, sample: Sample, quantum: float, cuts: Array, mean: Array, breaks: Array,
+    r_left: Array, r_right: Array,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Return the levels of ln r in fans, all in one array, and how many belong to each cut; 0 are no fan.
+
+    A fall that needs more than one front is divided, whether the profile states a jump there or not. No front of it
+    is stronger than FAN.
+    """
+    falls = breaks[breaks[:, 1] > breaks[:, 2] + JUMP]
+    at = np.searchsorted(cuts, falls[:, 0])
+    before, after = np.append(0.0, mean[:-1]), mean.copy()
+    before[at], after[at] = falls[:, 1], falls[:, 2]
+    stated = np.zeros(cuts.size, dtype=bool)
+    stated[at] = True
+    steep = np.flatnonzero(stated | (r_left > r_right) & (before > after))
+    shocks = breaks[breaks[:, 2] > breaks[:, 1] + JUMP, 0]
+    fans = _fans(problem, sample, shocks, cuts[steep], before[steep], after[steep])
+    level = fans.level
+    # a front between two pieces falls from r to r, which are not those of the means
+    top, foot = np.log(r_left[steep]), np.log(r_right[steep])
+    top, foot = np.where(stated[steep], level[:, 0], top), np.where(stated[steep], level[:, -1], foot)
+    part = (level - level[:, :1]) / np.minimum(level[:, -1:] - level[:, :1], -1e-300)
+    level = top[:, None] + (foot - top)[:, None] * part
+    s = fans.need / quantum if quantum > 0.0 else np.zeros_like(level)
+    count = np.maximum(np.round(s[:, -1]), np.ceil((top - foot) / FAN))
+    count = np.where(stated[steep], np.maximum(count, FEWEST_IN_FAN), count)
+    # uniform in ln r where the needs tell little
+    s += (1e-3 * s[:, -1:] + 1e-12) * np.linspace(0.0, 1.0, NODES)
+    number = np.zeros(cuts.size, dtype=np.int64)
+    found = []
+    for k in np.flatnonzero(count > 1).tolist():
+        n = int(count[k])
+        number[steep[k]] = n
+        edges = np.interp(np.arange(1, n) / n * s[k, -1], s[k], level[k])
+        edges = np.concatenate([[top[k]], edges, [foot[k]]])
+        most = np.max(-np.diff(edges))
+        if most > FAN:
+            extra = np.maximum(np.ceil(-np.diff(edges) / FAN), 1).astype(int)
+            edges = divided(edges, extra)
+            number[steep[k]] = edges.size - 1
+        found.append(0.5 * (edges[1:] + edges[:-1]))
+    return np.concatenate(found) if found else np.empty(0), number
+
+
+def _folded(problem: Problem, cuts: Array) -> Array:
+    """Return the left ends of pieces over each of which K changes by a factor of at most sqrt(e)."""
+    law = problem.law
+    folds = np.diff(cuts) * np.abs(law.f(np.diff(problem.profile.W(cuts, law)) / np.diff(cuts)))
+    if not folds.sum() < FOLDS:
+        raise RunError(
+            f"front tracking cannot start: ln K changes by {folds.sum():.3g} along the slope, as q is too near -1 "
+            f"over too long a way, and {FOLDS:g} is the most it can follow; use the method godunov"
+        )
+    return divided(cuts, np.maximum(np.ceil(2.0 * folds).astype(int), 1))[:-1]
+
+
+def _slope_at(law: ErosionLaw, r: float) -> float:
+    """Return a q with R(q) >= r."""
+    q = 1.0
+    while law.R(q) < r:
+        q *= 2.0
+    return q
+
+
+def _start_of_pieces(law: ErosionLaw, table: LawTable | StepLaw, mass: Array, h: Array) -> Array:
+    """Return r at the left end of pieces of constant I that hold the given mass: r - r(h) = mass."""
+    if isinstance(table, StepLaw):
+        v = np.empty_like(mass)
+        start_steep_pieces(mass, h, table, v)
+        return law.R(np.expm1(v))
+    if law.name == "rational":
+        return 1.0 + mass / -np.expm1(-h)
+    r = np.empty_like(mass)
+    start_pieces(mass, h, table, r)
+    return r

@@ -1,0 +1,246 @@
+"""A-priori facts and budgets that every run must respect (theory, §1 and §3), watched from outside."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from hjprofile.problem.coefficient import Coefficient
+from hjprofile.problem.erosion import ErosionLaw
+from hjprofile.problem.grid import Grid
+from hjprofile.solvers.grids.kernels import watch
+from hjprofile.solvers.grids.kernels.wavefront import LaxFriedrichs
+from hjprofile.solvers.run import Array, Halt, State, Verdict
+
+ROUNDING = 1e-10  # relative; some 1e5 steps add up errors of 1e-16 each, at worst all in one direction
+EXACT, FIRST_ORDER = "rounding", "first order in dx"  # how well a method keeps what it promises
+
+# How a method keeps each bound, None if it does not promise it. First: schemes in conservation form that are monotone
+# in q; the local viscosity changes with q, which keeps them from being so; a higher order cannot be.
+Promises = Mapping[str, str | None]
+MONOTONE: Promises = MappingProxyType(
+    {
+        "mass_budget": EXACT,
+        "volume_budget": FIRST_ORDER,
+        "minimum_principle": EXACT,
+        "signs": EXACT,
+        "l1_decay": EXACT,
+        "factor_bounds": EXACT,
+        "upper_bound": EXACT,
+        "tv_growth": FIRST_ORDER,
+        "flux_maximum": EXACT,
+        "flux_variation": EXACT,
+        "kruzkov": EXACT,
+    }
+)
+TELESCOPING: Promises = MappingProxyType({**MONOTONE, "volume_budget": EXACT})
+# a law of linear growth (theory, §14): q is without bound, and so is its variation
+STEEP: Promises = MappingProxyType({**TELESCOPING, **dict.fromkeys(("upper_bound", "tv_growth"))})
+STEEP_SECOND_ORDER: Promises = MappingProxyType(
+    {name: kept and FIRST_ORDER for name, kept in STEEP.items()}
+    | {"mass_budget": EXACT, "volume_budget": EXACT}
+    | dict.fromkeys(("flux_maximum", "flux_variation", "kruzkov"))
+)
+LOCAL: Promises = MappingProxyType(
+    {**MONOTONE, **dict.fromkeys(("flux_maximum", "flux_variation", "kruzkov"))},
+)
+HIGHER_ORDER: Promises = MappingProxyType(
+    {name: kept and FIRST_ORDER for name, kept in LOCAL.items()} | {"mass_budget": EXACT}
+)
+# Whatever the factor is: the other facts use that K is made of q, and hold for a factor that is kept to first order
+# in the time that it is kept, without a constant that is known
+FOR_ANY_FACTOR = ("mass_budget", "signs", "l1_decay", "flux_maximum", "flux_variation", "kruzkov")
+# K of the 2x2 model is not that of q, and q < 0 may fall: what is left is that a slope is carried along, by H > 0
+WITH_LAYER: Promises = MappingProxyType(dict.fromkeys(("mass_budget", "volume_budget", "signs", "l1_decay"), EXACT))
+STOPPING = ("mass_budget", "volume_budget")  # where they are kept to rounding, nothing is right that breaks them
+
+
+class BoundsMonitor:
+    """Records the worst margin of each bound that a method promises, with its time and place.
+
+    With q(0) the data, q⁺ and q⁻ their positive and negative parts:
+    mass_budget: ∫q changes by inflow - outflow.
+    volume_budget: the eroded volume is ∫(K(left) - 1) dt (§6g): to rounding where the flux telescopes, else within
+        dx ∫∫ (K f² + max(K f') |q_x|) dx dt, the first-order difference between Σ F dx and K(left) - 1.
+    minimum_principle: q >= min(inf q(0), 0).
+    signs: data of one sign keep it.
+    l1_decay: ‖q‖₁ does not increase.
+    factor_bounds: -f'(inf q(0)) ‖q⁻‖₁ <= ln K <= f'(0) ‖q⁺‖₁; the margin is the part that is left.
+    upper_bound: q/f(q) <= sup(q(0)/f(q(0)) + W(0)) + ‖q⁻‖₁ [qBound]; the margin likewise, of what lies above 1/f'(0).
+    tv_growth: TV(q) grows by ∫ TV(K f²) dt at most; the margin likewise.
+    flux_maximum, flux_variation, kruzkov: with K frozen at a state, a step of the method's own length
+        does not raise sup|F| nor TV(F) [decay_sup_flux, decay_tv_flux], and it keeps the order of states, which is
+        Kružkov's inequality: |H(q) - H(α)| <= H(max(q, α)) - H(min(q, α)) for the step H and a constant α.
+        With a coefficient that does not depend on t, neither may grow over the whole run (but for lax-friedrichs, the
+        viscosity of which changes).
+
+    With a prescribed coefficient, and with a factor that is kept for a while, FOR_ANY_FACTOR alone are watched.
+    What is kept to first order may miss by dx TV(q). Where something flows in, only budgets and the least q count.
+
+    Raises:
+        Halt: where one of STOPPING is kept to rounding and broken; with `strict` where any is broken.
+    """
+
+    STEPS, SHARE = 1024, 1 / 8  # between two looks: steps, or part of the run
+    FROZEN_STEPS = 16384
+    memory: tuple[str, ...] = (
+        "worst", "t", "looked", "froze", "rate", "budget_error", "budget_allowance", "norm", "growth_allowed",
+        "eroded_volume", "outflow", "swell", "first_volume", "flux_seen",
+    )  # fmt: skip
+
+    def __init__(
+        self, law: ErosionLaw, grid: Grid, W: Array, inflow: float, end: float, promises: Promises,
+        flux: Any = None, strict: bool = False, coefficient: Coefficient | None = None, refresh: float | None = None,
+    ):  # fmt: skip
+        self.law, self.grid, self.inflow, self.flux, self.strict = law, grid, inflow, flux, strict
+        self.pause = self.SHARE * end
+        q, dx = np.diff(W) / grid.dx, grid.dx
+        self.mass, self.norm = float(W[-1] - W[0]), dx * float(np.abs(q).sum())
+        self.scale = self.norm + 1.0
+        plus, minus = 0.5 * (self.norm + self.mass), 0.5 * (self.norm - self.mass)
+        self.floor, top = min(float(q.min()), 0.0), max(float(q.max()), 0.0)
+        self.variation = float(np.abs(np.diff(q)).sum()) + (0.0 if inflow else abs(float(q[0])))
+        self.R0 = float(law.R(0.0))
+        self.sign = 1.0 if self.floor == 0.0 else -1.0 if top == 0.0 else 0.0
+        lasting = {"mass_budget", "volume_budget", "minimum_principle"}
+        known = promises if coefficient is None and refresh is None else FOR_ANY_FACTOR
+        self.promises = {
+            name: kept for name, kept in promises.items()
+            if kept and name in known and (not inflow or name in lasting) and (self.sign or name != "signs")
+            and (flux or name not in ("flux_maximum", "flux_variation", "kruzkov"))
+        }  # fmt: skip
+        if not inflow:
+            with np.errstate(all="ignore"):
+                self.highest = float(np.max(law.R(q) + np.maximum(W[1:], W[:-1]) - W[0])) + minus - self.R0
+            self.thickest = float(law.derivative(0.0)) * plus
+            self.thinnest = float(law.derivative(self.floor)) * minus
+        self.worst = np.tile([np.inf, np.nan, np.nan], (len(self.promises), 1))  # margin, time, x
+        self.first_volume = np.nan
+        self.eroded_volume = self.outflow = self.budget_allowance = 0.0
+        self.budget_error = 0.0 if coefficient is None else np.nan
+        # sup|F| and TV(F) when they were last seen
+        self.lasting_flux = coefficient is not None and coefficient.steady and flux is not LaxFriedrichs
+        self.flux_seen = (np.inf, np.inf)
+        self.t = self.rate = self.swell = self.growth_allowed = 0.0
+        self.looked, self.froze = 0, -self.FROZEN_STEPS
+        self.ln_K = np.zeros(grid.cells + 1)
+
+    def wants(self, state: State) -> bool:
+        return state.steps - self.looked >= self.STEPS or state.t - self.t >= self.pause
+
+    def observe(self, state: State) -> None:
+        """Raises Halt, see above."""
+        q, dx, t, grid = state.q, self.grid.dx, state.t, self.grid
+        ln_K = self.ln_K[: q.size + 1]
+        mass, norm, least, most, variation, thinnest, thickest, settled, swell = watch.survey(q, dx, state.law, ln_K)
+        variation += 0.0 if self.inflow else abs(float(q[0]))  # the slope is critical left of the cells that are given
+        rate = dx * (settled + state.speed * variation)
+        if np.isnan(self.first_volume):
+            self.first_volume = state.volume()
+        else:
+            self.budget_allowance += 0.5 * (t - self.t) * (self.rate + rate)
+            with np.errstate(over="ignore"):  # how K differs across a cell; inf, and nothing is promised, near q = -1
+                across = np.exp(dx * np.abs(self.law.f(np.array([least, most]))).max())
+            self.growth_allowed += (t - self.t) * max(self.swell, swell) * across
+        self.t, self.rate, self.swell, self.looked = t, rate, swell, state.steps
+
+        rounding = ROUNDING * (self.scale + state.outflow + self.inflow * t)
+        smear = dx * variation
+        self.outflow = state.outflow
+        self._record("mass_budget", rounding, mass - self.mass + state.outflow - self.inflow * t)
+        self.eroded_volume = self.first_volume - state.volume()
+        off = abs(self.eroded_volume - state.growth)
+        self.budget_error = max(self.budget_error, off)
+        small = ROUNDING * (1.0 + abs(state.growth) + t + abs(self.first_volume))
+        exactly = self.promises.get("volume_budget") == EXACT
+        self._record("volume_budget", small + (0.0 if exactly else self.budget_allowance), off)
+
+        def place(index: int) -> float:
+            return float(grid.centres[state.first + index])
+
+        self._record("minimum_principle", ROUNDING, self.floor - least, smear, lambda: place(int(np.argmin(q))))
+        if self.inflow:
+            return self._judge(state)
+        wrong = -least if self.sign > 0 else most
+        self._record("signs", ROUNDING, wrong, smear, lambda: place(int(np.argmax(-self.sign * q))))
+        self._record("l1_decay", rounding, norm - self.norm, smear)
+        self.norm = min(norm, self.norm)
+        self._record(
+            "factor_bounds", self.thickest + rounding, thickest, smear, lambda: place(int(np.argmax(ln_K[:-1])))
+        )
+        self._record(
+            "factor_bounds", self.thinnest + rounding, -thinnest, smear, lambda: place(int(np.argmin(ln_K[:-1])))
+        )
+        above = float(self.law.R(most)) - self.R0
+        self._record("upper_bound", self.highest + rounding, above, smear, lambda: place(int(np.argmax(q))))
+        grown = variation - self.variation
+        self._record(
+            "tv_growth", self.growth_allowed + rounding, grown, smear, lambda: place(int(np.argmax(np.abs(np.diff(q)))))
+        )
+        if "kruzkov" in self.promises and state.dt > 0.0 and state.steps - self.froze >= self.FROZEN_STEPS:
+            self.froze = state.steps
+            self._freeze(state, np.exp(ln_K) if state.K is None else state.K, most, place)
+        if "flux_maximum" in self.promises and self.lasting_flux and state.K is not None:
+            F = watch.frozen_step(q, state.K, dx, 0.0, state.law, self.flux(state.bound))[1]
+            self._compare(F, *self.flux_seen, float(state.K.max()))
+            self.flux_seen = float(np.abs(F).max()), float(np.abs(np.diff(F)).sum())
+        return self._judge(state)
+
+    def _compare(self, F: Array, most: float, variation: float, thickest: float) -> None:
+        """sup|F| and TV(F) with what they were before."""
+        # rounding of F, and of the differences of K that telescoping fluxes divide by dx
+        rounding = ROUNDING * float(np.abs(F).max()) + 1e-15 * thickest / self.grid.dx
+        self._record("flux_maximum", rounding, float(np.abs(F).max()) - most)
+        varied = float(np.abs(np.diff(F)).sum())
+        self._record("flux_variation", F.size * rounding + ROUNDING * varied, varied - variation)
+
+    def _freeze(self, state: State, K: Array, most: float, place: Callable[[int], float]) -> None:
+        """One step with K frozen, from q and from its maximum and minimum with a constant."""
+        q, dx = state.q, self.grid.dx
+        # what moves in the step meets K and f' nearby, and that must not make it longer than the method's own
+        nearby = watch.fastest_nearby(q, K, state.law)
+        dt, flux = state.dt * min(state.speed / nearby, 1.0), self.flux(max(state.bound, nearby))
+
+        def step(y: Array) -> tuple[Array, Array]:
+            return watch.frozen_step(y, K, dx, dt, state.law, flux)
+
+        after, F = step(q)
+        self._compare(step(after)[1], float(np.abs(F).max()), float(np.abs(np.diff(F)).sum()), float(K.max()))
+        # a different cell's slope each time; low slopes would need shorter steps where K is large
+        alpha = float(q[int(q.size * (0.618 * (state.steps + 1) % 1.0))])
+        if float(K.max()) * float(self.law.derivative(alpha)) > state.speed:
+            alpha = most
+        steps = [step(y)[0] for y in (np.full(q.size, alpha), np.maximum(q, alpha), np.minimum(q, alpha))]
+        excess = (np.abs(after - steps[0]) - (steps[1] - steps[2]))[1:-1]  # what enters at the ends is given
+        worst = int(np.argmax(excess))
+        self._record("kruzkov", ROUNDING * (1.0 + most), float(excess[worst]), 0.0, lambda: place(worst + 1))
+
+    def _record(
+        self, name: str, allowed: float, excess: float, smear: float = 0.0, place: Callable[[], float] = lambda: np.nan
+    ) -> None:
+        """Keeps the worst margin; `smear` is allowed beside where the method keeps the bound to first order only."""
+        if name not in self.promises:
+            return
+        allowed += smear if self.promises[name] == FIRST_ORDER else 0.0
+        margin = 1.0 - max(abs(excess) if name == "mass_budget" else excess, 0.0) / allowed
+        row = self.worst[list(self.promises).index(name)]
+        if not margin >= row[0]:
+            row[:] = margin, self.t, place()
+
+    def _judge(self, state: State) -> None:
+        for name, verdict in self.bounds.items():
+            stopping = name in STOPPING and verdict.allowance == EXACT
+            if not verdict.holds and verdict.time == state.t and (self.strict or stopping):
+                raise Halt(verdict.sentence(name))
+
+    @property
+    def bounds(self) -> dict[str, Verdict]:
+        """A verdict on each bound that was looked at."""
+        return {
+            name: Verdict(margin >= 0.0, margin, t, x, kept)
+            for (name, kept), (margin, t, x) in zip(self.promises.items(), self.worst.tolist(), strict=True)
+            if margin != np.inf  # a NaN does not hold
+        }

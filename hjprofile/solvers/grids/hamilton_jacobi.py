@@ -1,0 +1,111 @@
+"""The Hamilton-Jacobi equation u_t + K f(u_x - 1) = 0 on nodes.
+
+The unknown is W = u - x, which has the same equation and less rounding than u. With q on the cells the difference
+quotients of W and F the numerical flux, a step is W_i -= Δt F_i (theory, §2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+
+from hjprofile.problem import Problem
+from hjprofile.problem.grid import Grid
+from hjprofile.solvers.grids.factor import Factor
+from hjprofile.solvers.grids.grid_law import GridLaw, grid_law
+from hjprofile.solvers.grids.high_order import ORDERS, HighOrder
+from hjprofile.solvers.grids.kernels import grid_loops as kernels
+from hjprofile.solvers.grids.kernels import wavefront
+from hjprofile.solvers.grids.march import BESIDE
+from hjprofile.solvers.run import Array
+
+Flux = wavefront.LocalLaxFriedrichs | wavefront.LaxFriedrichs | wavefront.Godunov | wavefront.Telescoping
+
+FLUXES: Mapping[str, type[Flux]] = MappingProxyType(
+    {
+        "local-lax-friedrichs": wavefront.LocalLaxFriedrichs,
+        "lax-friedrichs": wavefront.LaxFriedrichs,
+        "godunov": wavefront.Godunov,
+        "telescoping": wavefront.Telescoping,
+    }
+)
+
+
+class HamiltonJacobi:
+    """A first-order scheme for W = u - x with one of FLUXES and forward Euler steps, many of them in one sweep."""
+
+    memory: tuple[str, ...] = ("W", "active", "growth", "outflow")
+
+    def __init__(
+        self, law: GridLaw, grid: Grid, W: Array, flux: type[Flux], inflow: float = 0.0, factor: Factor | None = None
+    ):
+        self.cfl_limit = 2 / 3 if flux is wavefront.LaxFriedrichs else 1.0
+        self.law, self.grid, self.flux, self.inflow = law, grid, flux, inflow
+        self.factor = factor or Factor(grid)
+        self.W, self.before = W.copy(), W.copy()
+        self.q, self.K = np.empty(grid.cells), np.ones(grid.cells + 1)
+        self.growth = self.outflow = 0.0
+        # the first and the last node where W is not what it is at that end
+        self.active = kernels.flat_ends(self.W, 0, grid.cells, W[0], W[-1])
+
+    def evaluate(self) -> float:
+        np.divide(np.diff(self.W), self.grid.dx, out=self.q)
+        self.law, speed = self.factor.fill(self.law, self.q, self.K)
+        return speed
+
+    def means(self) -> tuple[int, Array]:
+        a, b = max(self.active[0] - BESIDE, 0), min(self.active[1] + BESIDE, self.grid.cells)
+        np.divide(np.diff(self.W[a : b + 1]), self.grid.dx, out=self.q[a:b])
+        return a, self.q[a:b]
+
+    def advance(self, dt: float, steps: int, bound: float) -> float:
+        n = self.grid.cells
+        a, b = max(self.active[0] - steps - 2, 0), min(self.active[1] + steps + 2, n)
+        self.kept = a, b, self.active, self.growth, self.outflow
+        W = self.W[a : b + 1]
+        self.before[a : b + 1] = W
+        inflow = self.inflow if a == 0 else 0.0
+        factor, idle = self.factor.window(self.law, dt * np.arange(steps), a, b)
+        speed, grown = wavefront.hj_pass(W, self.grid.dx, dt, steps, inflow, self.law.kernel, self.flux(bound), factor)
+        self.growth += grown
+        self.outflow += float(self.before[b] - W[-1])
+        self.active = kernels.flat_ends(self.W, a, b, self.W[0], self.W[-1])
+        return max(float(speed), idle)
+
+    def restore(self) -> None:
+        a, b, self.active, self.growth, self.outflow = self.kept
+        self.W[a : b + 1] = self.before[a : b + 1]
+
+    def volume(self) -> float:
+        """Node 0 left out: its flux is the inflow, so that for the telescoping flux the sum changes by K - 1."""
+        return self.grid.dx * float(np.sum(self.W[1:]))
+
+
+class HighOrderHamiltonJacobi(HighOrder):
+    """W_t = -F with F = K f(q⁻) and q⁻ reconstructed from the difference quotients of W."""
+
+    @property
+    def W(self) -> Array:
+        return self.state
+
+    def _flat_ends(self, first: int, last: int) -> tuple[int, int]:
+        return kernels.flat_ends(self.state, first, last, self.state[0], self.state[-1])
+
+    def _means(self, state: Array) -> Array:
+        return np.diff(state) / self.grid.dx
+
+    def _rate(self, F: Array) -> Array:
+        return -F
+
+
+def scheme(
+    problem: Problem, grid: Grid, method: str, refresh: float | None = None
+) -> HamiltonJacobi | HighOrderHamiltonJacobi:
+    """The scheme of that name (a key of FLUXES or ORDERS), set up with the problem's profile."""
+    W = problem.profile.W(grid.nodes, problem.law)
+    law, factor = grid_law(problem.law, np.diff(W) / grid.dx), Factor(grid, problem.coefficient, refresh)
+    if method in ORDERS:
+        return HighOrderHamiltonJacobi(law, grid, W, method, problem.profile.inflow, factor)
+    return HamiltonJacobi(law, grid, W, FLUXES[method], problem.profile.inflow, factor)

@@ -1,0 +1,165 @@
+"""Reconstructions of second and fifth order with strong-stability-preserving Runge-Kutta steps.
+
+Upwind fluxes F = K f(q⁻) with q⁻ from the left of each node; K at the order of the scheme and anew in every stage.
+The state is W on the nodes or q on the cells: the two forms share what is done here and differ in their rates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from hjprofile.problem.grid import Grid
+from hjprofile.solvers.grids.factor import Factor
+from hjprofile.solvers.grids.grid_law import GridLaw
+from hjprofile.solvers.grids.kernels import grid_loops as kernels
+from hjprofile.solvers.grids.march import BESIDE, Restorable
+from hjprofile.solvers.run import Array, Breakdown
+
+Rate = Callable[[Array], Array]
+
+
+# Written for the increment d, so that what does not change does not change by rounding either
+def ssp_rk2(y: Array, rate: Rate, dt: float) -> Array:
+    """Heun's method."""
+    d = dt * rate(y)
+    return y + 0.5 * (d + dt * rate(y + d))
+
+
+def ssp_rk4(y: Array, rate: Rate, dt: float) -> Array:
+    """Ketcheson's ten stages of fourth order (SIAM J. Sci. Comput. 30, 2008, algorithm 3)."""
+    d = dt / 6.0 * rate(y)
+    for _ in range(4):
+        d += dt / 6.0 * rate(y + d)
+    half_way = 0.36 * d
+    d *= 0.4
+    for _ in range(4):
+        d += dt / 6.0 * rate(y + d)
+    return y + (half_way + 0.6 * d + 0.1 * dt * rate(y + d))
+
+
+class Order(NamedTuple):
+    """What goes together in a scheme: a reconstruction, a quadrature for K, and a time step with its limit."""
+
+    edges: Callable[[Array, Array], None]
+    high_quadrature: bool
+    step: Callable[[Array, Rate, float], Array]
+    stages: int
+    cfl_limit: float
+
+
+ORDERS: Mapping[str, Order] = MappingProxyType(
+    {
+        "eno2": Order(kernels.edges_eno2, False, ssp_rk2, 2, 0.5),
+        # monotone for linear data up to 6; smooth waves gain nothing from steps longer than this
+        "weno5": Order(kernels.edges_weno5, True, ssp_rk4, 10, 2.5),
+    }
+)
+
+
+class HighOrder(Restorable):
+    """A scheme of the method of lines on the part of the grid where anything happens."""
+
+    memory: tuple[str, ...] = ("state", "active", "growth", "outflow")
+
+    def __init__(self, law: GridLaw, grid: Grid, state: Array, order: str, inflow: float, factor: Factor | None = None):
+        self.law, self.grid, self.order, self.inflow = law, grid, ORDERS[order], inflow
+        self.factor = factor or Factor(grid)
+        self.cfl_limit = self.order.cfl_limit
+        self.state = state.copy()
+        self.q, self.K = np.empty(grid.cells), np.ones(grid.cells + 1)
+        self.growth = self.outflow = 0.0
+        self.active = self._flat_ends(0, self.state.size - 1)
+
+    def _means(self, state: Array) -> Array:
+        """The cell means."""
+        raise NotImplementedError
+
+    def _rate(self, F: Array) -> Array:
+        """The state's rate of change from F at the nodes."""
+        raise NotImplementedError
+
+    def _flat_ends(self, first: int, last: int) -> tuple[int, int]:
+        """The first and the last entry of the state that belong to a slope that is not critical."""
+        raise NotImplementedError
+
+    def evaluate(self) -> float:
+        self.q = self._means(self.state)
+        if not np.min(self.q) > -1.0:
+            raise Breakdown(self.q, self.K)
+        self.law = self.law.covering(self.q)
+        return self._speed(self.q, self._fluxes(self.q, self.inflow, self.K, self.factor.given())[1], self.K)
+
+    def means(self) -> tuple[int, Array]:
+        nodes = self.state.size - self.grid.cells
+        a, b = max(self.active[0] - BESIDE, 0), min(self.active[1] + 1 + BESIDE, self.grid.cells)
+        self.q[a:b] = self._means(self.state[a : b + nodes])
+        return a, self.q[a:b]
+
+    def _fluxes(self, q: Array, inflow: float, K: Array, given: Array | None) -> tuple[Array, Array]:
+        """F at the nodes and q on their left, from q on the cells; fills K, by q or as it is given."""
+        g = kernels.GHOSTS
+        padded = np.empty(q.size + 2 * g)
+        padded[g:-g] = q
+        kernels.ghosts(padded)
+        edges, F = np.empty(q.size + 1), np.empty(q.size + 1)
+        self.order.edges(padded, edges)
+        f = self.law.law.f(edges)
+        if given is None:
+            kernels.exponent_from_nodes(f, self.grid.dx, self.order.high_quadrature, K)
+            np.exp(K, out=K)
+        else:
+            K[:] = given[0]
+        np.multiply(K, f, out=F)
+        F[0] = inflow
+        return F, edges
+
+    def _speed(self, q: Array, edges: Array, K: Array, first: int = 0) -> float:
+        """The largest K f'. Raises Breakdown if there is none."""
+        speed = float(kernels.fastest(K, self.law.derivative(np.minimum(q, edges[1:]))))
+        if not 0.0 < speed < np.inf:
+            raise Breakdown(q, K, first)
+        return speed
+
+    def advance(self, dt: float, steps: int, bound: float) -> float:
+        self.keep()
+        self.state = self.state.copy()
+        return max(self._step(dt, step * dt) for step in range(steps))
+
+    def _step(self, dt: float, start: float) -> float:
+        """One time step that begins `start` from now; returns the largest K f' before it."""
+        cells, nodes = self.grid.cells, self.state.size - self.grid.cells
+        reach = kernels.GHOSTS * self.order.stages + 6  # what a step can touch, and six nodes for a quadrature
+        a, b = max(self.active[0] - reach, 0), min(self.active[1] + 1 + reach, cells)
+        inflow = self.inflow if a == 0 else 0.0
+        K = np.ones(b - a + 1)
+        idle = self.factor.window(self.law, np.array([start]), a, b)[1]
+        speeds: list[float] = []
+
+        def rate(y: Array) -> Array:
+            q = self._means(y[:-3])
+            if not np.min(q) > -1.0:
+                raise Breakdown(q, K, a)
+            F, edges = self._fluxes(q, inflow, K, self.factor.given(start + y[-1], slice(a, b + 1)))
+            if not speeds:  # of states, not of stages
+                speeds.append(max(self._speed(q, edges, K, a), idle))
+            return np.concatenate([self._rate(F), [K[0] - 1.0, F[-1], 1.0]])
+
+        part = slice(a, b + nodes)
+        # the last is time, which thereby is at every stage what it is to be
+        y = self.order.step(np.concatenate([self.state[part], [self.growth, self.outflow, 0.0]]), rate, dt)
+        self.state[part] = y[:-3]
+        self.growth, self.outflow = float(y[-3]), float(y[-2])
+        self.active = self._flat_ends(a, b + nodes - 1)
+        return speeds[0]
+
+    def volume(self) -> float:
+        return self.grid.integral(self.W)
+
+    @property
+    def W(self) -> Array:
+        """u - x on the nodes."""
+        raise NotImplementedError

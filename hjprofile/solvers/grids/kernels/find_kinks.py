@@ -1,0 +1,167 @@
+"""Kinks of the profile on a grid: where q jumps up.
+
+A shock spreads over a few cells. It is told from a smooth rise by its width: a rise of q by J whose steepest part is d
+per cell has width J/d cells, and a grid cannot resolve what is narrower than WIDEST cells. The kink lies where two
+straight lines, continuing q from either side, hold the mass that the cells between them hold.
+"""
+
+import numpy as np
+
+from hjprofile.solvers.grids.kernels.sweep_law import LANES, eroded, is_table, read
+from hjprofile.solvers.kernels import compiled, vectorised
+
+LEAST_JUMP = 0.05  # a weaker jump cannot be distinguished from a steep smooth rise on grids of a thousand cells
+WIDEST = 16  # cells over which a shock may spread; Lax-Friedrichs spreads a jump of 0.4 over this many
+STEEP = LEAST_JUMP / WIDEST  # rise per cell
+FOOT = 0.08  # a rise ends where it falls below this part of its steepest rise per cell
+GAP, FIT = 1, 4  # cells left out beside the rise, and cells to which a line is fitted
+
+
+@compiled
+def find_kinks(q, x_left, dx, law):
+    """x, q on the left, q on the right and K of each kink, from left to right; shape (kinks, 4).
+
+    For cell means q from x_left on; right of them the slope is critical, or x = 0.
+    """
+    rises = _rises(q)
+    found = np.empty((rises.shape[0], 4))
+    n = 0
+    exponent, summed = 0.0, q.size  # ∫f right of the first `summed` cells
+    for k in range(rises.shape[0] - 1, -1, -1):
+        a, b = rises[k]
+        place, left, right = _locate(q, dx, a, b)
+        if not right - left >= LEAST_JUMP:
+            continue
+        cell = min(max(int(place), 0), q.size - 1)
+        exponent += _exponent(q, cell + 1, summed, dx, law)
+        summed = cell + 1
+        K_right = np.exp(exponent)
+        K_left = np.exp(exponent + _exponent(q, cell, cell + 1, dx, law))
+        K = K_left + (place - cell) * (K_right - K_left)
+        found[n, 0], found[n, 1], found[n, 2], found[n, 3] = x_left + place * dx, left, right, K
+        n += 1
+    return found[:n][::-1]
+
+
+@vectorised
+def _exponent(q, first, stop, dx, law):
+    """∫f over cells first..stop-1."""
+    row, f, df, total = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+    for at in range(first, stop, LANES):
+        width = min(LANES, stop - at)
+        for l in range(LANES):
+            row[l] = q[at + l] if l < width else 0.0
+        if is_table(law):
+            for l in range(LANES):
+                row[l] = 1.0 + row[l]
+            read(row, law, f, df)
+        for l in range(LANES):
+            total[l] += eroded(l, row[l] * dx, dx, law, f, df)[0]
+    return total.sum()
+
+
+@compiled
+def _rises(q):
+    """Cells (a, b) between which q rises too steeply for the grid: a is the foot, b the crest."""
+    n = q.size
+    found = np.empty((0, 2), np.int64)
+    count = 0
+    for start in range(0, n - 1, LANES):
+        stop = min(start + LANES, n - 1)
+        steepest = -np.inf
+        for i in range(start, stop):
+            steepest = max(steepest, q[i + 1] - q[i])
+        if not steepest >= STEEP:
+            continue
+        for p in range(start, stop):
+            d = q[p + 1] - q[p]
+            ahead = q[p + 2] - q[p + 1] if p + 2 < n else -np.inf
+            back = q[p] - q[p - 1] if p > 0 else -np.inf
+            if not (d >= STEEP and d >= ahead and d > back):
+                continue
+            floor, a, b = FOOT * d, p, p + 1
+            while a > 0 and p - a < 2 * WIDEST and q[a] - q[a - 1] > floor:
+                a -= 1
+            while b < n - 1 and b - p < 2 * WIDEST and q[b + 1] - q[b] > floor:
+                b += 1
+            if q[b] - q[a] > WIDEST * d:
+                continue
+            if count and a < found[count - 1, 1]:  # two peaks in one rise
+                count -= 1
+                a, b = found[count, 0], max(b, found[count, 1])
+            if count == found.shape[0]:
+                more = np.empty((2 * count + 8, 2), np.int64)
+                more[:count] = found[:count]
+                found = more
+            found[count, 0], found[count, 1] = a, b
+            count += 1
+    return found[:count]
+
+
+@compiled
+def _line(q, first, last, near):
+    """Value and slope per cell at `near` of the line through cells first..last; flat where they are fewer than three.
+
+    Places count in cells: cell i has its midpoint at i + 0.5.
+    """
+    n = last - first + 1
+    if n < 3:
+        return q[last] if first + 0.5 < near else q[first], 0.0
+    centre = 0.5 * (first + last) + 0.5
+    mean = 0.0
+    for i in range(first, last + 1):
+        mean += q[i]
+    mean /= n
+    spread = tilt = 0.0
+    for i in range(first, last + 1):
+        away = i + 0.5 - centre
+        spread += away * away
+        tilt += away * q[i]
+    slope = tilt / spread
+    return mean + slope * (near - centre), slope
+
+
+@compiled
+def _locate(q, dx, a, b):
+    """Place (in cells from the left) of the kink between foot a and crest b by conservation, and q on its sides.
+
+    Both are NaN where there is none.
+    """
+    n = q.size
+    middle = 0.5 * (a + b + 1)
+    left_end, right_end = a - GAP, b + GAP  # the cells nearest to the rise that the lines are fitted to
+    left_start, right_stop = left_end - FIT + 1, right_end + FIT - 1
+    # never fit across a neighbouring rise or the end of the grid
+    while left_start < left_end and (left_start < 0 or q[left_start + 1] - q[left_start] > STEEP):
+        left_start += 1
+    while right_stop > right_end and (right_stop >= n or q[right_stop] - q[right_stop - 1] > STEEP):
+        right_stop -= 1
+    left_end, right_end = max(left_end, 0), min(right_end, n - 1)
+    ql, sl = _line(q, max(left_start, 0), left_end, middle)
+    qr, sr = _line(q, right_end, min(right_stop, n - 1), middle)
+    if left_end > a:
+        ql, sl = q[a], 0.0
+    if right_end < b:
+        qr, sr = q[b], 0.0
+    nowhere = np.nan, np.nan, np.nan
+    if not qr > ql:
+        return nowhere
+    first, last = min(a, left_end), max(b, right_end)
+    start, stop = float(first), last + 1.0
+    mass = 0.0
+    for i in range(first, last + 1):
+        mass += q[i]
+    s = middle
+    for _ in range(8):  # ∫ left line up to s + ∫ right line from s on = mass; Newton
+        held = (
+            ql * (s - start) + 0.5 * sl * ((s - middle) ** 2 - (start - middle) ** 2)
+            + qr * (stop - s) + 0.5 * sr * ((stop - middle) ** 2 - (s - middle) ** 2)
+        )  # fmt: skip
+        jump = (qr + sr * (s - middle)) - (ql + sl * (s - middle))
+        if not jump > 0:
+            return nowhere
+        s = min(max(s + (held - mass) / jump, start), stop)
+    left, right = ql + sl * (s - middle), qr + sr * (s - middle)
+    if not (right > left and left > -1.0):
+        return nowhere
+    return s, left, right

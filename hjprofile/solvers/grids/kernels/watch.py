@@ -1,0 +1,117 @@
+"""What is read off a state to judge it: sums and extremes, ln K, and what a step with K frozen makes of it."""
+
+import numpy as np
+
+from hjprofile.solvers.grids.kernels.sweep_law import LANES, eroded, is_table, read, read_f, values
+from hjprofile.solvers.grids.kernels.wavefront import growth, looks_ahead, node_flux
+from hjprofile.solvers.kernels import vectorised
+
+
+@vectorised
+def survey(q, dx, law, ln_K):
+    """Fills ln K at the nodes by the midpoint rule; returns what bounds are told from.
+
+    These are dx Σq, dx Σ|q|, min q, max q, Σ|differences of q|, min and max ln K, dx Σ K f² and Σ|differences of K f²|.
+    Extremes of q are taken with 0. A q that is not above -1 makes dx Σ K f² infinite or not a number.
+    """
+    n = q.size
+    value, row, f, df, swell = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+    total, size, least, most = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+    settled, rises, swells = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+    exponents, factors, thinnest, thickest = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+    ln_K[n] = exponent = 0.0
+    K = 1.0
+    beside, swell_beside, first = q[n - 1], 0.0, True
+    for stop in range(n, 0, -LANES):  # blocks of cells from right to left, and so are the cells in the lanes
+        width = min(LANES, stop)
+        if width == LANES:
+            for l in range(LANES):
+                value[l] = q[stop - 1 - l]
+        else:
+            for l in range(LANES):
+                value[l] = q[stop - 1 - l] if l < width else 0.0
+        if is_table(law):
+            for l in range(LANES):
+                row[l] = 1.0 + value[l]
+            read(row, law, f, df)
+        for l in range(LANES):
+            z, _ = eroded(l, value[l] * dx, dx, law, f, df)
+            row[l] = z
+            factors[l] = growth(z)
+            total[l] += value[l]
+            size[l] += abs(value[l])
+            least[l] = min(least[l], value[l])
+            most[l] = max(most[l], value[l])
+        for l in range(LANES):
+            exponent += row[l]
+            exponents[l] = exponent
+            swell[l] = K
+            K *= factors[l]
+        for l in range(width):
+            ln_K[stop - 1 - l] = exponents[l]
+        for l in range(LANES):
+            swell[l] *= row[l] * row[l]
+            settled[l] += swell[l]
+            thinnest[l] = min(thinnest[l], exponents[l])
+            thickest[l] = max(thickest[l], exponents[l])
+        if first:
+            first, swell_beside = False, swell[0]
+        rises[0] += abs(value[0] - beside)
+        swells[0] += abs(swell[0] - swell_beside)
+        for l in range(1, LANES):
+            rises[l] += abs(value[l] - value[l - 1])
+            swells[l] += abs(swell[l] - swell[l - 1])
+        if width < LANES:  # a step to the cells that are not there
+            rises[width] -= abs(value[width - 1])
+            swells[width] -= swell[width - 1]
+        beside, swell_beside = value[width - 1], swell[width - 1]
+    return (
+        dx * total.sum(), dx * size.sum(), least.min(), most.max(), rises.sum(), thinnest.min(), thickest.max(),
+        settled.sum() / dx, swells.sum() / (dx * dx),
+    )  # fmt: skip
+
+
+@vectorised
+def frozen_step(q, K, dx, dt, law, flux):
+    """One step of a first-order scheme from cell means q, with K given at the nodes and nothing flowing in.
+
+    Returns the new means and F at the nodes. The flux must not have a viscosity of its own at each node.
+    """
+    n = q.size
+    after, F = np.empty(n), np.zeros(n + 1)
+    d, d_right, K_here = np.zeros(LANES), np.zeros(LANES), np.ones(LANES)
+    rows, p = (np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)), np.zeros(LANES)
+    for start in range(0, n, LANES):
+        width = min(LANES, n - start)
+        for l in range(width):
+            d[l] = q[start + l] * dx
+            d_right[l] = q[min(start + l + 1, n - 1)] * dx
+            K_here[l] = K[start + l + 1]
+        if is_table(law):
+            for l in range(LANES):
+                p[l] = 1.0 + d[l] / dx
+            read(p, law, rows[0], rows[1])
+            if looks_ahead(flux):
+                for l in range(LANES):
+                    p[l] = 1.0 + 0.5 * (d[l] + d_right[l]) / dx
+                read_f(p, law, rows[2])
+        for l in range(width):
+            F[start + l + 1] = node_flux(flux, law, l, K_here[l], d[l], d_right[l], 0.0, dx, rows)[2] / dx
+    for i in range(n):
+        after[i] = q[i] - dt / dx * (F[i + 1] - F[i])
+    return after, F
+
+
+@vectorised
+def fastest_nearby(q, K, law):
+    """The largest K f' with K of a node and f' of any of the two cells on either side of it."""
+    n = q.size
+    f, df = np.empty(n), np.empty(n)
+    values(q, law, f, df)
+    speed = 0.0
+    for i in range(n + 1):
+        steepest = 0.0
+        for k in range(max(i - 2, 0), min(i + 2, n)):
+            steepest = max(steepest, df[k])
+        speed = max(speed, K[i] * steepest)
+    return speed

@@ -1,0 +1,333 @@
+"""Many time levels in one sweep (docs/kernels.md).
+
+K at a cell needs the cells on its right at the same level, a flux its left neighbour at the same level. So a sweep
+from x = 0 to the left can advance LANES levels at once if each lags a few cells behind the one before. A lane carries
+a level; lanes do not wait for each other within a step of the sweep, so the loop over lanes vectorises.
+
+Lanes are numbered from the last level to the first: lane l reads in `row[l + 1]` what the level before it wrote one
+step earlier, and writes `row[l]`. Lanes that have not started, or have passed the left end, compute nonsense that
+nobody reads: a lane is set up when it starts.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hjprofile.solvers.grids.kernels.grid_loops import FLOOR_SHARE
+from hjprofile.solvers.grids.kernels.sweep_law import (
+    LANES,
+    Linear,
+    eroded,
+    eroded_with_mean,
+    is_table,
+    read,
+    read_f,
+    slope_at_zero,
+)
+from hjprofile.solvers.kernels import by_type, vectorised
+
+
+class LocalLaxFriedrichs(NamedTuple):
+    """F = K f(½(q⁻+q⁺)) - ½ α (q⁺-q⁻), α = K max(f'(q⁻), f'(q⁺)): f' is decreasing.
+
+    No new mean lies outside the old ones on either side (but for K f² Δt), and total variation does not grow, if
+    Δt K (max f' + ½ (f'(q⁺) - f'(q⁻))⁺) <= Δx with the largest K of the node and its neighbours (theory, §2).
+    """
+
+    bound: float
+
+
+class LaxFriedrichs(NamedTuple):
+    """The same with one α = `bound`, at least the largest K f' of all steps.
+
+    A new mean depends on the old one by 1 - Δt/Δx (α + ½ K_{i+1} f'(mean right) - ½ K_i f'(mean left)), and the last
+    two terms can come to ½ α.
+    """
+
+    bound: float
+
+
+class Godunov(NamedTuple):
+    """F = K f(q⁻): all speeds are positive."""
+
+    bound: float
+
+
+class Telescoping(NamedTuple):
+    """F_i = (K_{i-1} - K_i)/Δx."""
+
+    bound: float
+
+
+class Nonlocal(NamedTuple):
+    """The factor is K of the state itself, carried along from the right."""
+
+
+class Given(NamedTuple):
+    """The factor is given at the nodes.
+
+    Attributes:
+        k: shape (levels, nodes), or (1, nodes) if it is the same at every level.
+    """
+
+    k: np.ndarray
+
+
+@vectorised
+def growth(z):
+    """K_{i-1}/K_i for z = f Δx in schemes of first order: e^z to second order; positive, and bounded below."""
+    z = max(z, -1.0)
+    return 1.0 + z * (1.0 + 0.5 * z)
+
+
+@vectorised
+def fine_growth(z):
+    """The same to fourth order, for the second-order scheme: where grains settle fast, z³ is not small beside it."""
+    z = max(z, -1.0)
+    return 1.0 + z * (1.0 + z * (0.5 + z * (1.0 / 6.0 + z * (1.0 / 24.0))))
+
+
+@by_type
+def thickening(law, z):
+    """K_{i-1}/K_i in schemes of first order: `growth`, or e^z for a law of linear growth (theory, §14)."""
+    return (lambda law, z: math.exp(z)) if law.instance_class is Linear else (lambda law, z: growth(z))
+
+
+@by_type
+def steepest(law, z):
+    """Its derivative by z, or 1 where that is larger: what f' is multiplied by in the telescoping flux."""
+    if law.instance_class is Linear:
+        return lambda law, z: math.exp(max(z, 0.0))
+    return lambda law, z: 1.0 + max(z, 0.0)
+
+
+@by_type
+def read_factor(factor, node, lag, k):
+    """Fills k, an array of lanes, if the factor is given: at `node` in the first level, `lag` more in each next."""
+    if factor.instance_class is Nonlocal:
+        return lambda factor, node, lag, k: None
+
+    def given(factor, node, lag, k):
+        levels, nodes = factor.k.shape
+        for l in range(LANES):  # lanes that have nothing to do would ask for nodes that are not there
+            level = LANES - 1 - l
+            k[l] = factor.k[min(level, levels - 1), min(max(node + lag * level, 0), nodes - 1)]
+
+    return given
+
+
+@by_type
+def factor_at(own, factor, k):
+    """The factor: `own`, which K of the state comes to, or k, which was read."""
+    return (lambda own, factor, k: own) if factor.instance_class is Nonlocal else (lambda own, factor, k: k)
+
+
+@by_type
+def across(K, z, factor, k):
+    """From K right of a cell, f dx in it and k, read on its left: K in its middle, and its rise to the left by that."""
+    if factor.instance_class is Nonlocal:
+        return lambda K, z, factor, k: (K * (1.0 + 0.5 * z), z)
+
+    def given(K, z, factor, k):
+        middle = 0.5 * (k + K)
+        return middle, (k - K) / middle
+
+    return given
+
+
+@by_type
+def looks_ahead(flux):
+    """Whether the flux needs q on the right of its node."""
+    central = flux.instance_class in (LocalLaxFriedrichs, LaxFriedrichs)
+    return (lambda flux: True) if central else (lambda flux: False)
+
+
+@by_type
+def is_local(flux):
+    """Whether the flux has a viscosity of its own at each node; `node_flux` then gives its speed without K."""
+    return (lambda flux: True) if flux.instance_class is LocalLaxFriedrichs else (lambda flux: False)
+
+
+@by_type
+def node_flux(flux, law, l, K, d, d_right, df_right, dx, rows):
+    """At a node, from d = q dx on either side: f dx and f' on its left, F dx, and the K f' that bounds the step."""
+    kind = flux.instance_class
+    if kind is Godunov:
+
+        def godunov(flux, law, l, K, d, d_right, df_right, dx, rows):
+            z, df = eroded(l, d, dx, law, rows[0], rows[1])
+            return z, df, K * z, K * df
+
+        return godunov
+    if kind is Telescoping:
+
+        def telescoping(flux, law, l, K, d, d_right, df_right, dx, rows):
+            z, df = eroded(l, d, dx, law, rows[0], rows[1])
+            return z, df, K * (thickening(law, z) - 1.0), K * df * steepest(law, z)
+
+        return telescoping
+    if kind is LaxFriedrichs:
+
+        def lax_friedrichs(flux, law, l, K, d, d_right, df_right, dx, rows):
+            z, df, z_mean = eroded_with_mean(l, d, d + d_right, dx, law, rows[0], rows[1], rows[2])
+            return z, df, K * z_mean - 0.5 * flux.bound * (d_right - d), K * max(df, df_right)
+
+        return lax_friedrichs
+
+    def local_lax_friedrichs(flux, law, l, K, d, d_right, df_right, dx, rows):
+        z, df, z_mean = eroded_with_mean(l, d, d + d_right, dx, law, rows[0], rows[1], rows[2])
+        fastest = max(df, df_right)
+        return z, df, K * (z_mean - 0.5 * fastest * (d_right - d)), fastest + 0.5 * max(df_right - df, 0.0)
+
+    return local_lax_friedrichs
+
+
+@vectorised
+def hj_pass(W, dx, dt, levels, inflow, law, flux, factor):
+    """Advances W (nodes from left to right) by `levels` <= LANES forward Euler steps W_i -= dt F_i, in place.
+
+    F is `inflow` at the left end; at the right end q is the same on both sides, and K is 1 if it is not given. Returns
+    the largest K f' of all steps and ∫(K(left) - 1) dt.
+    """
+    n = W.size - 1
+    ratio, per_dx = dt / dx, 1.0 / dx
+    last = LANES - levels  # the lane of the last level
+    row, right, K = np.zeros(LANES + 1), np.zeros(LANES), np.ones(LANES)
+    d_right, df_right, fastest = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+    K_right = np.ones(LANES)
+    rows = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)  # f, f' and f at the mean, where they are read
+    p, k_left = np.zeros(LANES), np.ones(LANES)
+    right[LANES - 1] = W[n]
+    grown = speed_met = 0.0
+    for step in range(n + 2 * levels - 1):
+        row[LANES] = W[max(n - step - 1, 0)]
+        start, stop = LANES - 1 - step // 2, LANES - 1 - (step - n) // 2  # lanes at the right end, at the left end
+        starts = step % 2 == 0 and start >= last
+        if starts:
+            K[start], fastest[start] = 1.0, 0.0
+            read_factor(factor, n - step, 2, k_left)
+            K[start] = factor_at(K[start], factor, k_left[start])
+            K_right[start] = K[start]
+            d_right[start] = right[start] - row[start + 1]
+        at_left = step >= n and (step - n) % 2 == 0
+        if at_left:
+            height = right[stop] - dt * inflow
+            grown += dt * (K[stop] - 1.0)
+            speed_met = max(speed_met, fastest[stop])
+            if looks_ahead(flux):  # viscosity can carry q to the left end, where it meets a critical slope
+                speed_met = max(speed_met, K[stop] * max(slope_at_zero(law), df_right[stop]))
+        if is_table(law):
+            for l in range(LANES):
+                p[l] = 1.0 + (right[l] - row[l + 1]) * per_dx
+            read(p, law, rows[0], rows[1])
+            if looks_ahead(flux):
+                for l in range(LANES):
+                    p[l] = 1.0 + (d_right[l] + (right[l] - row[l + 1])) * (0.5 * per_dx)
+                read_f(p, law, rows[2])
+        read_factor(factor, n - 1 - step, 2, k_left)
+        if looks_ahead(flux) and starts:
+            _, df_right[start] = eroded(start, d_right[start], dx, law, rows[0], rows[1])
+        for l in range(LANES):
+            here, left = right[l], row[l + 1]
+            right[l] = left
+            d = here - left
+            z, df, F, speed = node_flux(flux, law, l, K[l], d, d_right[l], df_right[l], dx, rows)
+            row[l] = here - ratio * F
+            K_left = K[l] * thickening(law, z)
+            K_left = factor_at(K_left, factor, k_left[l])
+            if is_local(flux):
+                speed *= max(max(K_left, K_right[l]), K[l])
+                K_right[l] = K[l]
+            if looks_ahead(flux):
+                d_right[l], df_right[l] = d, df
+            fastest[l] = max(fastest[l], speed)
+            K[l] = K_left
+        if at_left:
+            row[stop] = height
+        done = n - step + 2 * (levels - 1)
+        if done <= n:
+            W[done] = row[last]
+    return speed_met, grown
+
+
+@vectorised
+def limited(back, ahead):
+    """Half the rise over a cell from its neighbours' rises: the central one, kept between theirs (MC)."""
+    half = min(min(abs(back), abs(ahead)), 0.25 * abs(back + ahead))
+    return math.copysign(half, ahead) if back * ahead > 0.0 else 0.0
+
+
+@vectorised
+def hancock_pass(q, dx, dt, levels, inflow, law, factor):
+    """Advances cell means q (from left to right) by `levels` <= LANES MUSCL-Hancock steps, in place.
+
+    A step takes q and K half a step ahead by q_t = -K_x f - K f' q_x and the flux from there, with K by the midpoint
+    rule, or as it is given for that half step. At either end of the grid slopes are one-sided; the flux is `inflow` at
+    the left end. No edge value lies further than FLOOR_SHARE of 1 + q from its mean, which keeps q > -1. Returns the
+    largest K f' of all steps, ∫(K(left) - 1) dt and ∫F(right) dt.
+    """
+    n = q.size
+    ratio = dt / dx
+    last = LANES - levels
+    row, here, ahead, K = np.zeros(LANES + 1), np.zeros(LANES), np.zeros(LANES), np.ones(LANES)
+    edge, z, flux, fastest = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+    f, df, f_edge, df_edge, p = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+    k_left = np.ones(LANES)
+    here[LANES - 1] = q[n - 1]
+    grown = outflow = speed_met = 0.0
+    for step in range(n + 3 * levels - 2):
+        row[LANES] = q[max(n - step - 2, 0)]
+        start = LANES - 1 - step // 3
+        starts = step % 3 == 0 and start >= last
+        if starts:
+            K[start], fastest[start] = 1.0, 0.0
+            read_factor(factor, n - step, 3, k_left)
+            K[start] = factor_at(K[start], factor, k_left[start])
+            ahead[start] = 2.0 * here[start] - row[start + 1]
+        first, beyond = LANES - 1 - (step - n + 1) // 3, LANES - 1 - (step - n) // 3
+        if step >= n - 1 and (step - n + 1) % 3 == 0:  # at the first cell
+            row[first + 1] = 2.0 * here[first] - ahead[first]
+        finishes = step >= n and (step - n) % 3 == 0
+        if finishes:  # one cell further, where the first cell's new value is due
+            value = ahead[beyond] - ratio * (flux[beyond] - inflow)
+            grown += dt * (K[beyond] - 1.0)
+            speed_met = max(speed_met, fastest[beyond])
+        read_factor(factor, n - 1 - step, 3, k_left)
+        if is_table(law):
+            for l in range(LANES):
+                p[l] = 1.0 + here[l]
+            read(p, law, f, df)
+        for l in range(LANES):
+            f_here, df_here = eroded(l, here[l], 1.0, law, f, df)
+            half = limited(here[l] - row[l + 1], ahead[l] - here[l])
+            most = FLOOR_SHARE * (1.0 + here[l])
+            half = max(min(half, most), -most)
+            z_here = f_here * dx
+            middle, drop = across(K[l], z_here, factor, k_left[l])
+            rise = middle * (0.5 * ratio * f_here * drop - ratio * df_here * half)
+            edge[l] = here[l] + half + rise
+            z[l] = z_here + df_here * rise * dx
+            df[l] = df_here
+        if is_table(law):
+            for l in range(LANES):
+                p[l] = 1.0 + edge[l]
+            read(p, law, f_edge, df_edge)
+        for l in range(LANES):
+            left = row[l + 1]  # before it is overwritten
+            f_out, df_out = eroded(l, edge[l], 1.0, law, f_edge, df_edge)
+            F = K[l] * f_out
+            row[l] = ahead[l] - ratio * (flux[l] - F)
+            flux[l] = F
+            fastest[l] = max(fastest[l], K[l] * max(df[l], df_out))
+            K[l] *= fine_growth(z[l])
+            K[l] = factor_at(K[l], factor, k_left[l])
+            ahead[l], here[l] = here[l], left
+        if starts:
+            outflow += dt * flux[start]
+        if finishes:
+            row[beyond] = value
+        done = n - step + 3 * (levels - 1)
+        if done < n:
+            q[done] = row[last]
+    return speed_met, grown, outflow

@@ -1,0 +1,396 @@
+"""Kinks followed through time: numbered for life, their births, merges and exits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from hjprofile.problem.erosion import ErosionLaw
+from hjprofile.problem.grid import Grid
+from hjprofile.solvers.grids.kernels.find_kinks import WIDEST, find_kinks
+from hjprofile.solvers.run import Array, Event, KinkRecord, State, in_order
+
+Speed = Callable[["Sighting"], float]
+
+MEMORY = 10  # sightings at most from which a merge is dated
+NEARBY = 40  # cells within which the sightings lie from which a speed is measured or a merge is dated; ...
+FEWEST = 6  # ... for a speed those nearest, if they are fewer
+SCATTER = 0.005  # most that a sighting may be off the curve, as a part of the way: the speed is then off by 1 % or less
+LEAST_SPAN = 12  # cells over which a speed is measured: a position scatters by some 0.05 of a cell
+BACK = 2  # cells by which a kink may seem to go downhill: its place is known to 0.3 to 1.9 in the mean (theory, Kinks)
+LEAST_LIFE = 3  # sightings that make a kink still in sight at the end ...
+LEAST_WAY = 6  # ... and cells that any other crosses: a rise that ends within fewer is a flicker of the threshold
+
+
+class Sighting(NamedTuple):
+    """A kink found at one moment."""
+
+    x: float
+    q_left: float
+    q_right: float
+    K: float  # at the kink
+
+    @property
+    def jump(self) -> float:
+        return self.q_right - self.q_left
+
+
+@dataclass(eq=False)
+class _Path:
+    """One kink through time; numbers are given when all paths are known."""
+
+    born: bool = False
+    number: int = 0
+    times: list[float] = field(default_factory=list)
+    sightings: list[Sighting] = field(default_factory=list)
+    end: Event | None = None
+    into: _Path | None = None
+
+    def add(self, t: float, sighting: Sighting) -> None:
+        self.times.append(t)
+        self.sightings.append(sighting)
+
+    def join(self, other: _Path, paths: list[_Path]) -> None:
+        """Takes over what was seen later of the same kink."""
+        paths.remove(other)
+        rows = sorted(zip(self.times + other.times, self.sightings + other.sightings, strict=True), key=lambda r: r[0])
+        self.times, self.sightings = [t for t, _ in rows], [s for _, s in rows]
+        for p in paths:
+            if p.into is other:
+                p.into = self
+
+    def seniority(self, t: float) -> tuple[bool, float]:
+        """Return the rank of a kink at t. Of two that merge the lower lives on: that of the start, or else the left."""
+        return self.born, float(np.interp(t, self.times, [s.x for s in self.sightings]))
+
+    def place(self, t: float) -> float:
+        """Return the position at t, later that of the kink into which this one has merged, and +inf after an exit."""
+        if t <= self.times[-1] or self.end is None:
+            return float(np.interp(t, self.times, [s.x for s in self.sightings]))
+        return self.into.place(t) if self.into else np.inf
+
+
+class KinkTracker:
+    """A monitor that finds the kinks of every state it sees and links the sightings into paths.
+
+    `hidden` tells stretches (left, right) of a state in which what looks like a kink is none: the layers of steps.
+    """
+
+    memory: tuple[str, ...] = ("table",)
+
+    def __init__(
+        self, law: ErosionLaw, grid: Grid, hidden: Callable[[State], Sequence[tuple[float, float]]] = lambda state: ()
+    ):
+        self.law, self.grid, self.hidden = law, grid, hidden
+        self.frames: list[tuple[float, list[Sighting]]] = []
+        self.latest: tuple[float, list[Sighting]] = (-np.inf, [])
+
+    def wants(self, state: State) -> bool:
+        return True
+
+    def happened(self, state: State) -> bool:
+        """Whether there are more or fewer kinks than when they were last observed."""
+        return len(self._look(state)) != len(self.frames[-1][1])
+
+    def observe(self, state: State) -> None:
+        self.frames.append((state.t, self._look(state)))
+
+    def _look(self, state: State) -> list[Sighting]:
+        if self.latest[0] != state.t:
+            rows = find_kinks(state.q, float(self.grid.nodes[state.first]), self.grid.dx, state.law)
+            if state.K is not None:
+                nodes = self.grid.nodes[state.first : state.first + state.K.size]
+                rows[:, 3] = np.interp(rows[:, 0], nodes, state.K)
+            hidden = self.hidden(state)
+            seen = [Sighting(*row) for row in rows.tolist()]
+            self.latest = state.t, [s for s in seen if not any(a <= s.x <= b for a, b in hidden)]
+        return self.latest[1]
+
+    @property
+    def table(self) -> Array:
+        """The frames as rows: the time, then the fields of a sighting; a frame without kinks is a row of NaN."""
+        none = [Sighting(*[np.nan] * 4)]
+        return np.array([(t, *seen) for t, sightings in self.frames for seen in sightings or none])
+
+    @table.setter
+    def table(self, rows: Array) -> None:
+        self.frames = []
+        for t, *seen in rows.tolist():
+            if not self.frames or self.frames[-1][0] != t:
+                self.frames.append((t, []))
+            if not np.isnan(seen[0]):
+                self.frames[-1][1].append(Sighting(*seen))
+
+    def result(self, kept: Array) -> tuple[list[KinkRecord], list[Event]]:
+        """Kinks at the kept times, and the events of the whole run."""
+        paths = link(self.frames, self.grid.dx, self._speed)
+        turns = {id(p): sorted(o.end.time for o in paths if o.into is p and o.end) for p in paths}
+        records = []
+        for t in kept:
+            left = [p for p in paths if p.end and p.end.event == "exit" and p.end.time <= t]
+            rows = [(p, p.times.index(t)) for p in paths if t in p.times and p not in left]
+            for path, i in sorted(rows, key=lambda row: row[0].sightings[row[1]].x):
+                s = path.sightings[i]
+                records.append(
+                    KinkRecord(
+                        float(t), path.number, s.x, s.q_left, s.q_right, s.jump,
+                        _measured_speed(path, i, turns[id(path)], self.grid.dx), self._speed(s),
+                    )
+                )  # fmt: skip
+        return records, events_of(paths, self.frames[-1][0])
+
+    def _speed(self, s: Sighting) -> float:
+        """Rankine-Hugoniot: K [f]/[q]."""
+        return s.K * float(self.law.f(s.q_right) - self.law.f(s.q_left)) / s.jump
+
+
+def link(frames: Sequence[tuple[float, list[Sighting]]], dx: float, speed: Speed) -> list[_Path]:
+    """Link sightings at successive times into paths; `speed` maps a sighting to its Rankine-Hugoniot speed.
+
+    Kinks in the first frame are numbered from the left, then those born later, again from the left. Kinks do not pass
+    each other, so that this order is certain, but the date of a birth depends on the time steps. A kink may be
+    unresolved for a while: where two shocks touch, their common rise can be too wide to count as one.
+    """
+    paths: list[_Path] = []
+    living: list[_Path] = []  # with those that are out of sight
+    for n, (t, sightings) in enumerate(frames):
+        claims = _claims(living, t, sightings, dx, speed)
+        _untangle(claims, sightings)
+        for i, new in enumerate(sightings):
+            claimants = _rightful(claims.get(i, []), dx)
+            if not claimants:
+                claimants = [_Path(born=n > 0)]
+                claimants[0].add(t, new)
+                paths += claimants
+                living += claimants
+            path = min(claimants, key=lambda p: p.seniority(t))
+            for other in claimants:
+                if other is not path:
+                    living.remove(other)
+                    if set(other.times) & set(path.times):
+                        _merge(other, path, dx, speed)
+                    else:  # never seen side by side: one kink, which was out of sight for a while
+                        path.join(other, paths)
+            if path.times[-1] < t:
+                path.add(t, new)
+        for path in [p for p in living if p.times[-1] < t]:
+            if _leaves(path, t, dx, speed) or _is_lost(path, t, dx, speed):
+                living.remove(path)
+    end = frames[-1][0] if frames else 0.0
+    for path in paths:
+        _leaves_at(end, path, dx, speed)
+    _merge_lost(paths, end, dx, speed)
+    for path in paths:
+        if path.into:
+            _settle(path, end, dx)
+    return _without_flicker(paths, end, dx)
+
+
+def _claims(
+    living: Sequence[_Path], t: float, sightings: Sequence[Sighting], dx: float, speed: Speed
+) -> dict[int, list[_Path]]:
+    """Sighting -> the paths that go on with it: the nearest to where a path should be, and none downhill of it.
+
+    A path that was out of sight has no claim beyond its neighbours that were not: kinks do not pass each other.
+    """
+    claimed: list[tuple[_Path, int]] = []
+    latest = max((p.times[-1] for p in living), default=t)
+    for path in sorted(living, key=lambda p: p.times[-1] < latest):  # those in sight first
+        ahead, reach = _expected(path, t, dx, speed)
+        here = path.sightings[-1].x
+        near = [i for i, new in enumerate(sightings) if abs(new.x - ahead) <= reach and new.x >= here - BACK * dx]
+        if not near:
+            continue
+        i = min(near, key=lambda i: abs(sightings[i].x - ahead))
+        hidden = path.times[-1] < latest
+        if not (hidden and any((other.sightings[-1].x - here) * (j - i) < 0 for other, j in claimed)):
+            claimed.append((path, i))
+    claims: dict[int, list[_Path]] = {}
+    for path, i in claimed:
+        claims.setdefault(i, []).append(path)
+    return claims
+
+
+def _expected(path: _Path, t: float, dx: float, speed: Speed) -> tuple[float, float]:
+    """Where the kink should be at t, and how far from there it may be found."""
+    travel = speed(path.sightings[-1]) * (t - path.times[-1])
+    return path.sightings[-1].x + travel, 4 * dx + 0.5 * abs(travel)
+
+
+def _is_lost(path: _Path, t: float, dx: float, speed: Speed) -> bool:
+    """Out of sight for longer than two shocks need to become one."""
+    return abs(speed(path.sightings[-1])) * (t - path.times[-1]) > 2 * WIDEST * dx
+
+
+def _rightful(claimants: list[_Path], dx: float) -> list[_Path]:
+    """Without those out of sight that were never seen beside one in sight, nor can be its past."""
+    latest = max((p.times[-1] for p in claimants), default=0.0)
+    present = [p for p in claimants if p.times[-1] == latest]
+
+    def related(lost: _Path, seen: _Path) -> bool:
+        uphill = seen.sightings[0].x >= lost.sightings[-1].x - BACK * dx
+        return bool(set(lost.times) & set(seen.times)) or (lost.times[-1] < seen.times[0] and uphill)
+
+    return [p for p in claimants if p in present or all(related(p, seen) for seen in present)]
+
+
+def _untangle(claims: dict[int, list[_Path]], sightings: list[Sighting]) -> None:
+    """Where two paths claim one sighting and its neighbour is unclaimed, kinks keep their order instead of merging."""
+    for i in list(claims):
+        claimants = sorted(claims[i], key=lambda p: p.sightings[-1].x)
+        if len(claimants) < 2:
+            continue
+        for j, mover in ((i - 1, claimants[0]), (i + 1, claimants[-1])):
+            if 0 <= j < len(sightings) and j not in claims:
+                here, there = (abs(sightings[k].x - mover.sightings[-1].x) for k in (i, j))
+                if there <= 2 * here:
+                    claims[i].remove(mover)
+                    claims[j] = [mover]
+                    break
+
+
+def _leaves(path: _Path, t: float, dx: float, speed: Speed) -> bool:
+    """Ends a path that went out of sight when it was about to reach x = 0."""
+    x, velocity = path.sightings[-1].x, speed(path.sightings[-1])
+    if velocity <= 0 or x < -3 * WIDEST * dx:
+        return False
+    arrival = path.times[-1] - x / velocity
+    if arrival > t + 2 * WIDEST * dx / velocity:
+        return False
+    path.end = Event(arrival, "exit", 0, None, 0.0)
+    return True
+
+
+def _leaves_at(end: float, path: _Path, dx: float, speed: Speed) -> None:
+    """Date an exit that is due within BACK cells to the end of the run, because no position is more accurate.
+
+    A kink that has not moved further than that is still where it began.
+    """
+    last, velocity = path.sightings[-1], speed(path.sightings[-1])
+    here = last.x + velocity * (end - path.times[-1])
+    if here - path.sightings[0].x <= BACK * dx:
+        return
+    if (path.end.event == "exit" if path.end else path.times[-1] == end) and -BACK * dx <= here < 0.0:
+        path.end = Event(end, "exit", 0, None, 0.0)
+
+
+def _merge(loser: _Path, winner: _Path, dx: float, speed: Speed) -> None:
+    """Ends `loser` where it meets `winner`: extrapolated, for shocks that touch are seen as one too early."""
+    common = sorted(set(loser.times) & set(winner.times))[-MEMORY:]
+    xs = [np.array([p.sightings[p.times.index(t)].x for t in common]) for p in (loser, winner)]
+    if abs(xs[1][-1] - xs[0][-1]) > WIDEST * dx:  # they did not touch: one of them was too weak or wide to be seen
+        return
+    near = np.abs(xs[0] - xs[0][-1]) <= NEARBY * dx
+    xs = [x[near] for x in xs]
+    t, gap = np.array(common)[near], xs[1] - xs[0]
+    if t.size > 3:
+        closing, velocity, now, apart, here = -_slope(t, gap), _slope(t, xs[1]), t.mean(), gap.mean(), xs[1].mean()
+    else:
+        speeds = [speed(p.sightings[p.times.index(t[-1])]) for p in (loser, winner)]
+        closing, velocity, now, apart, here = speeds[0] - speeds[1], speeds[1], t[-1], gap[-1], xs[1][-1]
+    wait = max(apart / closing if closing * apart > 0 else 0.0, loser.times[-1] - now)  # not before both are last seen
+    loser.into = winner
+    # the extrapolation of two kinks at the crest may lie beyond it
+    loser.end = Event(float(now + wait), "merge", 0, None, min(float(here + velocity * wait), 0.0))
+
+
+def _merge_lost(paths: list[_Path], end: float, dx: float, speed: Speed) -> None:
+    """A path that was lost from sight beside another that lived on, and was closing in on it, has merged with it."""
+    for lost in sorted((p for p in paths if p.end is None and p.times[-1] < end), key=lambda p: p.times[-1]):
+        t, x = lost.times[-1], lost.sightings[-1].x
+        beside = [p for p in paths if p is not lost and p.times[0] <= t < p.times[-1] and t in p.times]
+        beside.sort(key=lambda p: abs(p.sightings[p.times.index(t)].x - x))
+        if not beside:
+            continue
+        other = beside[0]
+        gap = other.sightings[other.times.index(t)].x - x
+        closing = (speed(lost.sightings[-1]) - speed(other.sightings[other.times.index(t)])) * np.sign(gap)
+        if abs(gap) > WIDEST * dx or closing <= 0:
+            continue
+        if lost.seniority(t) < other.seniority(t):  # it takes over the rest of the other's path
+            k = other.times.index(t) + 1
+            lost.times += other.times[k:]
+            lost.sightings += other.sightings[k:]
+            other.times, other.sightings = other.times[:k], other.sightings[:k]
+            lost.end, lost.into, other.end = other.end, other.into, None
+            for p in paths:
+                if p.into is other and p.end and p.end.time > t:
+                    p.into = lost
+            lost, other = other, lost
+        _merge(lost, other, dx, speed)
+
+
+def _settle(path: _Path, end: float, dx: float) -> None:
+    """Keeps a merge only where and when the other kink was: it may have merged itself, or have gone out of sight."""
+    event, other = path.end, path.into
+    assert event and other
+    # kinks that meet at one point within the resolution of the grid all merge into the one that lives on
+    while other.end and other.into and (other.end.time < event.time or abs(other.end.x - event.x) <= WIDEST * dx):
+        other = other.into
+    seen = np.interp(event.time, other.times, [s.x for s in other.sightings])
+    gone = other.end.time if other.end else other.times[-1]
+    if gone < min(event.time, end) or abs(seen - event.x) > WIDEST * dx:
+        path.end = path.into = None
+    else:
+        path.into = other
+
+
+def _without_flicker(paths: list[_Path], end: float, dx: float) -> list[_Path]:
+    """Drop paths too short to be kinks, and number the others: those of the start, then later ones, from the left."""
+    hosts = {id(p.into) for p in paths if p.into}
+
+    def lasts(p: _Path) -> bool:
+        far = p.sightings[-1].x - p.sightings[0].x >= LEAST_WAY * dx
+        return not p.born or id(p) in hosts or far or (p.times[-1] == end and len(p.times) >= LEAST_LIFE)
+
+    lasting = [p for p in paths if lasts(p)]
+    order: list[_Path] = []
+    for p in sorted(lasting, key=lambda p: (p.times[0], p.sightings[0].x)):
+        t, x = p.times[0], p.sightings[0].x
+        order.insert(next((i for i, other in enumerate(order) if other.place(t) > x), len(order)), p)
+    order.sort(key=lambda p: p.born)
+    for number, p in enumerate(order, start=1):
+        p.number = number
+    for p in order:
+        if p.end:
+            p.end = p.end._replace(kink=p.number, into=p.into.number if p.into else None)
+    return order
+
+
+def _slope(t: Array, x: Array) -> float:
+    """Of the line through the points by least squares."""
+    centred = (t - t[0]) - (t - t[0]).mean()
+    spread = float(centred @ centred)
+    return float(centred @ x) / spread if spread > 0 else 0.0
+
+
+def _measured_speed(path: _Path, i: int, turns: Sequence[float], dx: float) -> float:
+    """Return dx/dt of the cubic through the sightings around the i-th, between the `turns`, at which the speed jumps.
+
+    The fit is one-sided close to a birth, a merge or an exit. The speed is NaN if the sightings are too few, too near
+    each other for their accuracy, or not on one smooth curve. It is NaN at x = 0, where kinks are located less well.
+    """
+    t, x = np.array(path.times), np.array([s.x for s in path.sightings])
+    side = np.searchsorted(turns, t, side="right")
+    whole = x <= -WIDEST * dx
+    if not whole[i]:
+        return float("nan")
+    t, x, far = (a[whole & (side == side[i])] for a in (t - t[i], x, np.abs(x - x[i])))
+    near = far <= max(NEARBY * dx, float(np.sort(far)[min(FEWEST, far.size) - 1]))
+    t, x = t[near], x[near]
+    if t.size < FEWEST - 1 or np.ptp(x) < LEAST_SPAN * dx:
+        return float("nan")
+    scale = float(np.ptp(t))
+    cubic = np.polyfit(t / scale, x, min(3, t.size - 2))
+    smooth = np.abs(np.polyval(cubic, t / scale) - x).max() <= SCATTER * np.ptp(x)
+    return float(cubic[-2]) / scale if smooth else float("nan")
+
+
+def events_of(paths: Sequence[_Path], end: float) -> list[Event]:
+    """Births, merges and exits up to the time `end`, in their order."""
+    births = [Event(p.times[0], "birth", p.number, None, p.sightings[0].x) for p in paths if p.born]
+    ends = [p.end for p in paths if p.end and p.end.time <= end]
+    return in_order(births + ends)

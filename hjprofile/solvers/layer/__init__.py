@@ -1,0 +1,1 @@
+"""A rolling layer of finite thickness (theory, §8)."""

@@ -1,0 +1,361 @@
+"""The inverse problem: which parameters of a case turn the profile before into the one that was surveyed after.
+
+Least squares on heights, in the logarithms of the parameters: they are positive, and the poured volume is their
+product. u(t,x) left of the support never moves, so the heights of both surveys are compared as they are.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hjprofile.errors import InputError, RunError, by_last_part, did_you_mean
+from hjprofile.problem.case import Case, load_case, resolved_case
+from hjprofile.problem.erosion import located
+from hjprofile.problem.heights import HIGHEST, without_height
+from hjprofile.problem.lists import as_numbers
+from hjprofile.problem.profiles import Units
+from hjprofile.problem.ranges import number, plain, shown
+from hjprofile.solvers.fronts.front_tracking import heights_at_end
+from hjprofile.solvers.run import Array
+
+FRONTS = 1200  # of the heights: on the hillslope to 2 cm r.m.s. of 650 m
+SLOPE_FRONTS = 400  # of their derivatives: with STEP they differ there by 1 % from those of 1600
+STEP = 3e-3  # of a central difference in a logarithm: larger ones carry kinks past points, smaller ones bring noise
+RESOLVED = 0.01  # singular values below this part of the largest are no better known than the derivatives are
+WIDEST = float(np.log(3.0))  # an interval that reaches further than a factor of three: no longer linear in between
+IMPROBABLE = 1e-3  # probability below which chi² is called too large
+SAME = 3e-5  # of the relief: a change of heights that is lost in the error of FRONTS
+UNEXPLAINED = 1 / 3  # of the change of heights, r.m.s.: a fit that leaves more over has found another slope or unit
+ENOUGH = 1e-6  # relative change of chi², or of the parameters, at which a fit stops: hundredths of a standard error
+MOST_STEPS = 60
+FARTHEST = float(np.log(1e6))  # from the starting values that a trial may go
+SECTIONS = "erosion", "profile", "time"
+VOLUME = "poured_volume"
+
+
+class Parameter(NamedTuple):
+    """A fitted value and its 95 % interval, whose ends are NaN where the surveys do not determine it."""
+
+    name: str
+    start: float
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What came of a fit; heights and places in the survey's units if the case has a survey.
+
+    Attributes:
+        parameters: those that were varied, in the order in which they were named.
+        volume: the poured volume per unit width, length² critical_slope end; None if the case has no survey,
+            or none of these three was varied.
+        correlation: of the logarithms of the parameters, shape (parameters, parameters).
+        x, measured, modelled: the surveyed points that lie on the slope, and the model's heights there.
+        sigma: standard deviation of a measured height: as given, else estimated from the residuals.
+        chi2: Σ (modelled - measured)²/sigma²; None where sigma is estimated.
+        left_out: surveyed points beyond the slope's ends.
+        account: what was done to the survey before, or "".
+        warnings: a sentence for each thing that the surveys do not determine, or the model does not meet.
+        curve: x, height before and height after on a fine grid, shape (3, n), to be drawn.
+        case: the resolved case with the fitted values, ready for TOML; its files by absolute paths.
+    """
+
+    title: str
+    parameters: Sequence[Parameter]
+    volume: Parameter | None
+    correlation: Array
+    x: Array
+    measured: Array
+    modelled: Array
+    sigma: float
+    sigma_given: bool
+    chi2: float | None
+    left_out: int
+    account: str
+    warnings: Sequence[str]
+    evaluations: int
+    wall_seconds: float
+    curve: Array
+    case: Mapping[str, Any]
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the residuals."""
+        return float(np.sqrt(np.mean((self.modelled - self.measured) ** 2)))
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Points less parameters."""
+        return self.x.size - len(self.parameters)
+
+
+class _Model:
+    """Heights after, as a function of the logarithms z of the parameters over their starting values."""
+
+    def __init__(self, path: str | Path, vary: Sequence[str]):
+        self.path, self.names = path, plain(vary)
+        if not isinstance(self.names, list) or not all(isinstance(name, str) for name in self.names):
+            raise InputError(f'vary = {shown(vary)} must be a list of keys, as in ["time.end"]')
+        self.first = load_case(path)
+        self.table = _resolved(self.first)
+        offered = {
+            f"{section}.{key}": value
+            for section in SECTIONS
+            for key, value in self.table[section].items()
+            if isinstance(value, float) and value > 0.0
+        }
+        for name in self.names:
+            if name not in offered:
+                hint = did_you_mean(name, by_last_part(offered)) or ";"
+                if "," in name:
+                    hint = " (--vary once for each);"
+                raise InputError(
+                    f"{path}: {name} cannot be varied{hint} the positive numbers of this case are {', '.join(offered)}"
+                )
+        if not self.names or len(set(self.names)) < len(self.names):
+            raise InputError(f"{path}: a fit needs at least one parameter to vary, each named once")
+        if self.first.problem.profile.inflow:
+            raise InputError(f"{path}: [profile] a flux enters at the left end; a fit needs a profile with q = 0 there")
+        try:
+            self.first.problem.check_method("fronts", self.first.refresh)
+        except InputError as error:
+            raise InputError(f"{path}: a fit is made by fronts, and {error}") from None
+        if self.first.problem.line == "whole":
+            raise InputError(f"{path}: a fit is of the half line; it cannot take line = 'whole'")
+        self.start = np.array([offered[name] for name in self.names])
+        self.surveyed = self.first.problem.profile.units is not None
+        self.units = self.first.problem.profile.units or Units(1.0, 1.0, 0.0, 0.0)
+        self.evaluations = 0
+
+    def overrides(self, z: Array) -> dict[str, Any]:
+        """Values by dotted key. The left end of the domain keeps its place in the survey's units."""
+        values: dict[str, Any] = dict(zip(self.names, (self.start * np.exp(z)).tolist(), strict=True))
+        left = self.first.grid.left
+        if self.surveyed:
+            left *= self.units.length / values.get("profile.length", self.units.length)
+        return values | {"domain.left": left, "time.snapshots": 1}
+
+    @np.errstate(all="ignore")  # a trial far off may leave the range of numbers: InputError or RunError say so
+    def heights(self, z: Array, x: Array, end: float | None = None, fronts: int = 0) -> Array:
+        """Heights at x, in the survey's units, at the end or at another time `end`."""
+        self.evaluations += 1
+        changed = self.overrides(z) | ({} if end is None else {"time.end": end})
+        case = load_case(self.path, changed)
+        units = case.problem.profile.units or self.units
+        place = np.clip((x - units.x_top) / units.length, case.grid.left, 0.0)
+        return units.height(heights_at_end(case.problem, case.grid.left, place, fronts or FRONTS))
+
+    def before(self, x: Array) -> Array:
+        """Heights of the case's own profile at x, in the survey's units."""
+        place = np.minimum((x - self.units.x_top) / self.units.length, 0.0)
+        return self.units.height(place + self.first.problem.profile.W(place, self.first.problem.law))
+
+    def residuals(self, z: Array, x: Array, measured: Array) -> Array:
+        """Modelled less measured heights; infinite where the model has no solution, from which the fit steps back."""
+        if np.abs(z).max() > FARTHEST:
+            return np.full(x.size, np.inf)
+        try:
+            return self.heights(z, x) - measured
+        except (InputError, RunError):
+            return np.full(x.size, np.inf)
+
+    def jacobian(self, z: Array, x: Array) -> Array:
+        """∂heights/∂z by central differences, shape (points, parameters)."""
+        ahead, back = (
+            np.stack([self.heights(z + h, x, fronts=SLOPE_FRONTS) for h in sign * STEP * np.eye(z.size)], axis=1)
+            for sign in (1.0, -1.0)
+        )
+        return (ahead - back) / (2.0 * STEP)
+
+    def powers_in_volume(self) -> Array:
+        """d ln(length² critical_slope end)/dz."""
+        powers = {"profile.length": 2.0, "profile.critical_slope": 1.0, "time.end": 1.0}
+        return np.array([powers.get(name, 0.0) for name in self.names])
+
+    def fitted(self, z: Array) -> dict[str, Any]:
+        """The resolved case with the fitted values; saved times keep their parts of the end."""
+        table = _resolved(load_case(self.path, self.overrides(z)))
+        snapshots, end = self.table["time"]["snapshots"], self.table["time"]["end"]
+        if isinstance(snapshots, list):
+            snapshots = [t / end * table["time"]["end"] for t in snapshots]
+        table["time"]["snapshots"] = snapshots
+        for section in ("erosion", "profile"):
+            if "file" in table[section]:
+                table[section]["file"] = str(located(Path(self.first.source).parent, table[section]["file"]).resolve())
+        return table
+
+
+def _resolved(case: Case) -> dict[str, Any]:
+    return resolved_case(case.problem, case.grid, case.method, case.cfl, case.tolerance, case.refresh)
+
+
+def fit(case: str | Path, x: Array, height: Array, vary: Sequence[str], sigma: float | None = None) -> Calibration:
+    """Fits parameters of a case so that its profile at `time.end` meets the surveyed points (x, height).
+
+    The case's own profile is the survey before. `vary` names positive numbers of its sections [erosion], [profile] and
+    [time] by dotted keys, as in "profile.critical_slope"; the fit starts from their values in the case. x, increasing,
+    and height are in the survey's units if the profile is a survey, else dimensionless. `sigma` is the standard
+    deviation of a measured height; without it, it is estimated from the residuals.
+
+    Intervals are those of the linearised model in the logarithms of the parameters. Raises InputError for what cannot
+    be fitted, and RunError if the fit does not converge.
+    """
+    from scipy.optimize import least_squares
+    from scipy.special import chdtrc, ndtri, stdtrit
+
+    sigma = None if sigma is None else number("sigma", sigma)
+    started = time.perf_counter()
+    model = _Model(case, vary)
+    at, measured, fine = _on_the_slope(model, x, height)
+    zero = np.zeros(len(model.names))
+    model.heights(zero, at)  # its own error if the case cannot be solved
+    unit = sigma or 1.0
+    found = least_squares(
+        lambda z: model.residuals(z, at, measured) / unit, zero, lambda z: model.jacobian(z, at) / unit,
+        ftol=ENOUGH, xtol=ENOUGH, max_nfev=MOST_STEPS,
+    )  # fmt: skip
+    z, residual = found.x, unit * found.fun
+    values = model.start * np.exp(z)
+    if found.status < 1:
+        reached = ", ".join(f"{n} = {v:.6g}" for n, v in zip(model.names, values, strict=True))
+        raise RunError(
+            f"{case}: the fit does not converge in {MOST_STEPS} steps; it has come to {reached}; start nearer to "
+            "the solution, or vary fewer parameters"
+        )
+
+    freedom = at.size - z.size
+    spread = sigma or float(np.sqrt(np.sum(residual**2) / freedom))
+    reach = spread * float(ndtri(0.975) if sigma else stdtrit(freedom, 0.975))
+    covariance, correlation, blind = _covariance(unit * found.jac, model.names)
+    half = reach * np.sqrt(np.diag(covariance))
+    hidden = {name for names, _ in blind for name in names}
+    warnings = [sentence for _, sentence in blind]
+    for i, name in enumerate(model.names):
+        if half[i] > WIDEST and name not in hidden:
+            hidden.add(name)
+            warnings.append(_undetermined(i, model.names, correlation))
+    chi2 = float(np.sum((residual / sigma) ** 2)) if sigma else None
+    if chi2 is not None and chdtrc(freedom, chi2) < IMPROBABLE:
+        warnings.append(
+            f"the model does not meet the survey after to within sigma: chi² is {chi2 / freedom:.3g} for each degree "
+            "of freedom where 1 is expected; the intervals are too narrow"
+        )
+    warnings += _of_two_surveys(model, at, measured, residual, np.size(x) - at.size, sigma)
+    parameters = [
+        _parameter(name, start, value, np.nan if name in hidden else h)
+        for name, start, value, h in zip(model.names, model.start, values, half, strict=True)
+    ]
+    volume, powers = None, model.powers_in_volume()
+    if model.surveyed and powers.any():
+        start = model.units.volume * model.first.problem.end
+        h = reach * float(np.sqrt(powers @ covariance @ powers))
+        known = not hidden.intersection(n for n, power in zip(model.names, powers, strict=True) if power)
+        volume = _parameter(VOLUME, start, start * float(np.exp(powers @ z)), h if known else np.nan)
+    return Calibration(
+        title=model.first.problem.title, parameters=parameters, volume=volume, correlation=correlation,
+        x=at, measured=measured, modelled=measured + residual, sigma=spread, sigma_given=sigma is not None, chi2=chi2,
+        left_out=np.size(x) - at.size, account=model.first.problem.profile.account, warnings=warnings,
+        curve=np.array([fine, model.heights(z, fine, end=0.0), model.heights(z, fine)]), case=model.fitted(z),
+        evaluations=model.evaluations, wall_seconds=time.perf_counter() - started,
+    )  # fmt: skip
+
+
+def _on_the_slope(model: _Model, x: Array, height: Array) -> tuple[Array, Array, Array]:
+    """The points that lie between the first and the last point of the survey before, or in the domain; and a fine x.
+
+    Raises InputError if they are too few.
+    """
+    x, height = (v if (v := as_numbers(given)) is not None else np.array(np.nan) for given in (x, height))
+    fits = x.ndim == 1 and x.shape == height.shape and np.all(np.abs([x, height]) <= HIGHEST)
+    if not (fits and np.all(np.diff(x) > 0)):
+        raise InputError("the survey after must be two lists of as many finite numbers, x increasing")
+    if (none := without_height(x, height)).any():
+        i = int(np.argmax(none))
+        raise InputError(f"the survey after has {height[i]:g} at x = {x[i]:g}, which is not a measured height; omit it")
+    begin = model.first.problem.profile.start() if model.surveyed else model.first.grid.left
+    last = float(model.units.x(0.0))
+    first = last - float(f"{last - float(model.units.x(begin)):.9g}")  # less rounding: 0 shall read as 0
+    hair = 1e-9 * (last - first)  # the ends have been divided by the length and multiplied again
+    on = (x >= first - hair) & (x <= last + hair)
+    if np.count_nonzero(on) <= len(model.names):
+        raise InputError(
+            f"{model.path}: {np.count_nonzero(on)} of the {x.size} points of the survey after lie on the slope, from "
+            f"x = {first:g} to {last:g}; to fit {len(model.names)} takes at least {len(model.names) + 1}"
+        )
+    return x[on], height[on], np.linspace(first, last, 1001)
+
+
+def _of_two_surveys(
+    model: _Model, x: Array, measured: Array, residual: Array, beyond: int, sigma: float | None
+) -> list[str]:
+    """What is told where the two surveys are the same, or do not belong together. `beyond`: points off the slope."""
+    from scipy.special import chdtrc
+
+    warnings = []
+    if beyond > x.size:
+        warnings.append(
+            f"{beyond} of the {beyond + x.size} points of the survey after lie beyond the slope: are both surveys of "
+            "one place, in one unit and with one origin of x?"
+        )
+    change = measured - model.before(x)
+    size, rms = (float(np.sqrt(np.mean(v**2))) for v in (change, residual))
+    if size <= SAME * np.ptp(measured) or (sigma and chdtrc(x.size, np.sum((change / sigma) ** 2)) >= IMPROBABLE):
+        warnings.append(
+            f"the surveys do not differ: by {size:.2g} r.m.s., which is within "
+            + ("sigma" if sigma else "rounding")
+            + "; nothing can be fitted to that"
+        )
+    elif rms > UNEXPLAINED * size:
+        warnings.append(
+            f"the residuals, {rms:.3g} r.m.s., are {rms / size:.0%} of all the change between the surveys: are both in "
+            "one unit, with one datum, and of one place? If so, the model does not explain the change"
+        )
+    return warnings
+
+
+def _parameter(name: str, start: float, value: float, half: float) -> Parameter:
+    return Parameter(name, float(start), float(value), float(value * np.exp(-half)), float(value * np.exp(half)))
+
+
+def _covariance(jacobian: Array, names: Sequence[str]) -> tuple[Array, Array, list[tuple[set[str], str]]]:
+    """(JᵀJ)⁻¹, its correlations, and which parameters the heights do not tell apart, with a sentence each."""
+    norms = np.sqrt(np.sum(jacobian**2, axis=0))
+    blind = [
+        ({n}, f"{n} has no effect on the surveyed heights near its value")
+        for n, s in zip(names, norms, strict=True)
+        if s == 0.0
+    ]
+    scale = np.where(norms > 0.0, norms, 1.0)
+    _, singular, rows = np.linalg.svd(jacobian / scale, full_matrices=False)
+    for row in rows[singular < RESOLVED * singular[0]]:
+        i, j = sorted(np.argsort(np.abs(row))[-2:])
+        involved = {n for n, v in zip(names, row, strict=True) if abs(v) > 0.1}
+        if len(involved) == 1:  # it has no effect: that has been said
+            continue
+        blind.append(
+            (involved, f"{names[i]} and {names[j]} cannot be told apart by these surveys: a change of one undoes that "
+             "of the other; keep one of them fixed")
+        )  # fmt: skip
+    floor = np.maximum(singular, 1e-12)
+    inverse = (rows.T / floor**2) @ rows
+    spread = np.sqrt(np.diag(inverse))
+    return inverse / np.outer(scale, scale), inverse / np.outer(spread, spread), blind
+
+
+def _undetermined(i: int, names: Sequence[str], correlation: Array) -> str:
+    """A sentence on a parameter whose interval is too wide, with the one that it goes with."""
+    sentence = f"{names[i]} is not determined by these surveys: its interval reaches further than a factor of three"
+    others = np.abs(correlation[i])
+    others[i] = 0.0
+    j = int(np.argmax(others))
+    if others[j] > 0.9:
+        sentence += f"; {names[j]} can stand in for it (correlation {correlation[i, j]:.3f})"
+    return sentence

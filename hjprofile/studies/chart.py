@@ -1,0 +1,210 @@
+"""Accuracy against seconds: every method at several resolutions on one problem."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from hjprofile.errors import InputError, RunError
+from hjprofile.problem import CARRY_STEPS, Problem
+from hjprofile.problem.grid import Grid
+from hjprofile.problem.ranges import instance
+from hjprofile.solvers.characteristics.shock_fitting import FINEST, solve_characteristics
+from hjprofile.solvers.closed_forms import closed_form
+from hjprofile.solvers.fronts.front_tracking import track_fronts
+from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS, solve_conservative, solve_hj
+from hjprofile.solvers.run import Array, Run
+
+# Neighbouring grids, not doubled ones: an error jitters with the place of a kink inside its cell
+CELLS = tuple(int(n) for n in np.geomspace(250, 8000, 12).round())
+FRONTS = 100, 200, 400, 800, 1600, 3200
+TOLERANCES = 1e-7, 1e-9, 1e-11
+REFERENCE_FRONTS = 12800
+STEEP_REFERENCE_FRONTS = 3200  # under a law of linear growth, where a front costs ten times as much
+REPEATS = 3
+PATIENCE = 0.3  # seconds that a run may take before finer ones of its method are left out
+SNAPSHOTS = 5  # times over which errors are taken
+ROUNDING = 4.0 * float(np.finfo(float).eps)  # of u - x of order 1 at a node
+INTEGRATED = 1e-12  # error of solutions integrated to 1e-13: exact fronts; closed forms, except for the rational law
+NOTHING = 1e-12  # |q| of a slope that is critical to rounding
+SAFETY = 2.0  # error of a reference in q, as a multiple of its distance to a coarser run of its method
+
+
+class Point(NamedTuple):
+    """A run on the chart.
+
+    Attributes:
+        case, method: their names.
+        cells: of the grid; of `fronts` their number, and for characteristics the cells they are read on.
+        error_u_sup: sup|u - exact u|, the largest of five times, both ends among them.
+        error_q_l1: ∫|q - exact q| dx, the largest of these times. Neither is less than the error of the reference.
+        seconds, steps: of the time stepping.
+    """
+
+    case: str
+    method: str
+    cells: int
+    error_u_sup: float
+    error_q_l1: float
+    seconds: float
+    steps: int
+
+
+class Reference(NamedTuple):
+    """A reference solution, from which errors are measured.
+
+    Attributes:
+        name: of the method.
+        error, error_q: of its u and of its q, as `Point` has them, by its own estimate; 0 for a closed form in
+            elementary functions.
+        at: a function of a grid: u and q at the five times, shapes (5, cells + 1) and (5, cells).
+    """
+
+    name: str
+    error: float
+    error_q: float
+    at: Callable[[Grid], tuple[Array, Array]]
+
+
+def chart(
+    case: str, problem: Problem, grid: Grid, cfl: float = 0.9, progress: Callable[[float], None] | None = None
+) -> tuple[list[Point], Reference]:
+    """Run every method at several resolutions; each point has the median seconds of three runs.
+
+    Seconds are those of the time stepping alone, compilation and output apart. Errors are sup|u - exact u| and
+    ∫|q - exact q| dx, the largest of five times, both ends among them. Methods that break down at a resolution are left
+    out there. Raises InputError if no time passes, if a coefficient is prescribed, or if the slope is critical at all
+    of these times except the first. Raises RunError if no method reaches the end.
+    """
+    instance("problem", problem, Problem)
+    instance("grid", grid, Grid)
+    if not problem.end > 0.0:
+        raise InputError(
+            f"{case}: end = {problem.end:g}; a chart needs an end above 0, for it times what happens until then"
+        )
+    if problem.coefficient is not None:
+        raise InputError(f"{case}: a chart needs the exact solution, which is not known with a prescribed coefficient")
+    problem = replace(problem, snapshots=np.linspace(0.0, problem.end, SNAPSHOTS).tolist())
+    reference = _reference(problem, grid)
+    known = {grid.cells: reference.at(grid)}
+    if not np.abs(known[grid.cells][1][1:]).max() > max(reference.error_q, NOTHING):
+        raise InputError(
+            f"{case}: the slope is critical at t = {problem.times[1]:.6g}, where errors are measured first, and from "
+            "then on, so that every method is exact; set an earlier end"
+        )
+    points: list[Point] = []
+    plan = list(_plan(problem, grid, cfl))
+    for i, (method, ladder) in enumerate(plan):
+        for cells, once in ladder:
+            try:
+                runs = [once() for _ in range(REPEATS)]
+            except RunError:
+                continue
+            run, seconds = runs[0], float(np.median([r.wall_seconds for r in runs]))
+            if run.done:
+                if run.cells not in known:
+                    known[run.cells] = reference.at(replace(grid, cells=run.cells))
+                u, q = known[run.cells]
+                u_sup = max(float(np.abs(run.u - u).max()), reference.error)
+                q_l1 = max(_distance(run.q, q, replace(grid, cells=run.cells)), reference.error_q)
+                points.append(Point(case, method, cells, u_sup, q_l1, seconds, run.steps))
+            if progress:
+                progress((i + (cells / ladder[-1][0]) ** 2) / len(plan))
+            if seconds > PATIENCE:
+                break
+    if not points:
+        raise RunError(f"{case}: no method reaches the end; `hjprofile run {case}` says why")
+    return points, reference
+
+
+Ladder = Sequence[tuple[int, Callable[[], Run]]]
+
+
+def _plan(problem: Problem, grid: Grid, cfl: float) -> Iterator[tuple[str, Ladder]]:
+    """Every method with its resolutions: a number for the chart, and the run."""
+    steep = problem.law.grows_linearly
+    for solve, methods in ((solve_hj, HJ_METHODS), (solve_conservative, CONSERVATIVE_METHODS)):
+        for method in (m for m in methods if m in CARRY_STEPS or not steep):
+            yield method, [(n, partial(solve, problem, replace(grid, cells=n), method, cfl)) for n in CELLS]
+    if not problem.profile.inflow:
+        yield "fronts", [(n, partial(track_fronts, problem, grid, n)) for n in FRONTS]
+        if not steep:
+            exact = partial(solve_characteristics, problem, grid)
+            yield "characteristics", [(grid.cells, partial(exact, tolerance)) for tolerance in TOLERANCES]
+
+
+def _distance(q: Array, other: Array, grid: Grid) -> float:
+    """Return the largest ∫|q - other| dx of all times."""
+    return grid.dx * float(np.abs(q - other).sum(axis=1).max())
+
+
+def _reference(problem: Problem, grid: Grid) -> Reference:
+    """Return the closed form if the data have one, else characteristics, else fronts, both at their finest."""
+    exact = closed_form(problem)
+    if exact is not None:
+        error = 0.0 if problem.law.name == "rational" else INTEGRATED
+        return Reference(
+            "the closed form", error, error,
+            lambda g: (
+                np.array([exact.u(t, g.nodes) for t in problem.times]),
+                np.array([exact.q_means(t, g) for t in problem.times]),
+            ),
+        )  # fmt: skip
+    if not problem.law.grows_linearly:  # vertical steps are followed by fronts alone
+        with suppress(RunError):
+            run, coarser = (solve_characteristics(problem, grid, e) for e in (FINEST, 100.0 * FINEST))
+            if run.done and coarser.done and run.error_estimate is not None:
+                rounding = ROUNDING * grid.cells * (1.0 + float(np.abs(run.u - run.x).max()))  # of differences of u
+                error_q = max(run.error_estimate, SAFETY * _distance(run.q, coarser.q, grid)) + rounding
+
+                def by_characteristics(g: Grid) -> tuple[Array, Array]:
+                    read = solve_characteristics(problem, g, FINEST)
+                    return read.u, read.q
+
+                return Reference("characteristics", run.error_estimate, error_q, by_characteristics)
+    fronts = STEEP_REFERENCE_FRONTS if problem.law.grows_linearly else REFERENCE_FRONTS
+    run, coarser = (track_fronts(problem, grid, n) for n in (fronts, fronts // 2))
+    for tracked in (run, coarser):
+        if not tracked.done:
+            raise RunError(tracked.status)
+    error = max(float(np.abs(run.u - coarser.u).max()), INTEGRATED)
+    error_q = max(_distance(run.q, coarser.q, grid), error)
+
+    def by_fronts(g: Grid) -> tuple[Array, Array]:
+        read = track_fronts(problem, g, fronts)
+        return read.u, read.q
+
+    return Reference(f"{fronts} fronts", error, error_q, by_fronts)
+
+
+def pareto(points: Sequence[Point]) -> list[Point]:
+    """The points that no other beats in seconds and in ∫|q - exact q| dx, from the fastest to the most accurate."""
+    front: list[Point] = []
+    for point in sorted(points, key=lambda p: (p.seconds, p.error_q_l1)):
+        if not front or point.error_q_l1 < front[-1].error_q_l1:
+            front.append(point)
+    return front
+
+
+def seconds_to(points: Sequence[Point], error: float) -> float:
+    """Seconds in which one method reaches that ∫|q - exact q| dx; NaN if its points show no order.
+
+    How many cells it takes follows from the line through all errors in logarithms, for single ones jitter; what they
+    cost from the points between which they lie. Beyond the finest point the cost grows like cells², as that of all
+    these methods does; below the coarsest it stays.
+    """
+    points = sorted(points, key=lambda p: p.cells)
+    cells, errors, seconds = (np.array([p[i] for p in points], dtype=float) for i in (2, 4, 5))
+    if len(points) < 2 or not np.all(errors > 0.0):
+        return float("nan")
+    slope, offset = np.polyfit(np.log(cells), np.log(errors), 1)
+    if slope >= 0.0:
+        return float("nan")
+    needed = np.exp((np.log(error) - offset) / slope)
+    within = np.exp(np.interp(np.log(needed), np.log(cells), np.log(seconds)))
+    return float(within * max(needed / cells[-1], 1.0) ** 2)

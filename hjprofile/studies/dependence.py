@@ -1,0 +1,344 @@
+"""Continuous dependence: how far solutions come apart that begin close together, or erode by close coefficients.
+
+The paper's proof in numbers. For two solutions with coefficients k and k̃ (theory, §11)
+
+    ‖q - q̃‖₁(t) <= ‖q - q̃‖₁(0) + ∫_0^t E dτ ,      E = ‖k - k̃‖_∞ TV(f(q̃)) + TV(k - k̃) sup|f(q̃)| ,
+
+which is [dep_on_coefficients] with its constants, and with k = K(q), k̃ = K(q̃) the step before the Gronwall lemma that
+gives [continous-dep-on-init-data].
+
+Both solutions of a pair take the same time steps. So with one prescribed coefficient the scheme, which is monotone and
+conservative, lets no distance grow except by rounding: E = 0.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import chain, product
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hjprofile.errors import InputError, RunError
+from hjprofile.problem import Problem, profiles
+from hjprofile.problem.case import DEFAULT_CFL
+from hjprofile.problem.coefficient import Coefficient, tabulated
+from hjprofile.problem.erosion import ErosionLaw
+from hjprofile.problem.grid import Grid
+from hjprofile.problem.ranges import instance
+from hjprofile.solvers.grids.hamilton_jacobi import scheme
+from hjprofile.solvers.grids.march import MOST_STEPS
+from hjprofile.solvers.methods import solve_hj
+from hjprofile.solvers.run import Array, Breakdown, Halt, Run
+from hjprofile.studies.accuracy import observed_order
+from hjprofile.studies.fractional import fractional_steps
+
+METHOD = "godunov"
+CELLS = 1000
+MOMENTS = 41  # saved times, ends included, over which E is integrated
+SIZES = (0.3, 0.03, 0.003)  # of a disturbance, as a part of ‖q‖₁ (of 1 where that is smaller)
+PAIRS = 8  # of each size
+PARTS = (0.2, 0.05, 0.0125)  # of a coefficient, by which it is off
+WAVES = 4  # disturbances of a coefficient, each a sum of SUMMANDS
+SUMMANDS = 3
+REFRESHES = (64, 32, 16, 8)  # time steps of mean length that make a fractional step
+TIMES_OF_K = 17  # at which a coefficient is compared with itself
+PIECES = 4  # a disturbance is a step function of so many pieces at most
+NOTHING = 1e-12  # |q| of a slope that is critical to rounding
+ROUNDING = 1e-9  # part of a bound by which a distance may exceed it
+FASTER = 0.02  # by which the speed may rise over a batch of steps
+SHARE = 0.5  # of 1 + q, which no disturbance exceeds
+
+
+class Distance(NamedTuple):
+    """‖q - q̃‖₁ of one pair at one time.
+
+    Attributes:
+        study: "data" (two slopes), "zero" (a slope and the critical one), "coefficient" (k and a disturbed k),
+            "refresh" (K anew in every step and K in fractional steps; a mean over time), "refresh kinks" (the same,
+            the distance of kinks; NaN where there are none).
+        member: number of the pair.
+        size: ‖q - q̃‖₁ at t = 0; of a disturbed k the largest part of k by which it is off; the fractional step.
+        bound: what `distance` cannot exceed: see the module; for "zero" ‖q‖₁ at t = 0; NaN for fractional steps.
+    """
+
+    case: str
+    study: str
+    member: int
+    size: float
+    time: float
+    distance: float
+    bound: float
+
+
+def dependence(
+    case: str, problem: Problem, grid: Grid, progress: Callable[[float], None] | None = None
+) -> list[Distance]:
+    """Disturb the problem's profile, then its coefficient, and measure the distances of the solutions.
+
+    The method is `godunov` on CELLS cells: the contractions of the theory hold for a monotone scheme too. Raises
+    InputError if a flux enters, if no time passes, or if the slope is critical at all saved times except the first.
+    Raises RunError if a run stops.
+    """
+    instance("problem", problem, Problem)
+    instance("grid", grid, Grid)
+    try:
+        problem.check_method(METHOD)
+    except InputError as error:
+        raise InputError(f"{case}: disturbed slopes are followed by {METHOD}, and {error}") from None
+    if problem.line == "whole":
+        raise InputError(f"{case}: dependence is of the half line; it cannot take line = 'whole'")
+    if problem.profile.inflow:
+        raise InputError(f"{case}: something flows in at the left end; dependence needs a profile with q = 0 there")
+    if not problem.end > 0.0:
+        raise InputError(f"{case}: no time passes; dependence needs an end above 0")
+    study = _Study(case, replace(problem, snapshots=MOMENTS), Grid(grid.left, CELLS))
+    found: list[Distance] = []
+    total = len(SIZES) * PAIRS + len(PARTS) * WAVES + len(REFRESHES)
+    for i, rows in enumerate(chain(study.pairs(), study.coefficients(), study.refreshes())):
+        found += rows
+        if progress:
+            progress((i + 1) / total)
+    return found
+
+
+class Path(NamedTuple):
+    """One of two solutions that took the same time steps, at the saved times: q on cells, K and x on nodes."""
+
+    time: Array
+    x: Array
+    q: Array
+    K: Array
+
+
+def solve_together(first: Problem, second: Problem, grid: Grid) -> tuple[Path, Path]:
+    """Solve two problems by METHOD with the same time steps, as long as the faster of them admits.
+
+    They share their saved times. Raises Breakdown or Halt if one of them cannot go on.
+    """
+    schemes = [scheme(problem, grid, METHOD) for problem in (first, second)]
+    rows: list[tuple[list[Array], list[Array]]] = [([], []), ([], [])]
+    t = 0.0
+
+    def evaluate() -> float:
+        for one in schemes:
+            one.factor.t = t
+        return max([one.evaluate() for one in schemes])
+
+    speed = evaluate()
+    for target in first.times:
+        while t < target:
+            bound = speed * (1.0 + FASTER)
+            remaining = float(target) - t
+            steps = max(1, math.ceil(remaining * bound / (DEFAULT_CFL * schemes[0].cfl_limit * grid.dx)))
+            batch = min(steps, MOST_STEPS, *(one.factor.steps for one in schemes))
+            dt = remaining / steps
+            met = max([one.advance(dt, batch, bound) for one in schemes])
+            if bound < met < np.inf:  # the steps are taken again, shorter
+                for one in schemes:
+                    one.restore()
+                speed = met
+                continue
+            t = float(target) if batch == steps else t + batch * dt
+            speed = evaluate()
+        for one, (q, K) in zip(schemes, rows, strict=True):
+            q.append(one.q.copy())
+            K.append(one.K.copy())
+    left, right = (Path(first.times, grid.nodes, np.array(q), np.array(K)) for q, K in rows)
+    return left, right
+
+
+class _Study:
+    """A problem on a grid, its solution, and a source of random numbers, the same ones each time."""
+
+    def __init__(self, case: str, problem: Problem, grid: Grid):
+        self.case, self.problem, self.grid, self.rng = case, problem, grid, np.random.default_rng(0)
+        self.q = problem.profile.q_means(grid, problem.law)
+        self.base = solve_hj(problem, grid, METHOD)
+        if not self.base.done:
+            raise RunError(f"{case}: {self.base.status}")
+        if not np.abs(self.base.q[1:]).max() > NOTHING:
+            raise InputError(
+                f"{case}: the slope is critical at t = {self.base.time[1]:.6g}, where distances are measured first, "
+                "and from then on; set an earlier end"
+            )
+        self.scale = max(1.0, float(np.abs(self.q).sum()) * grid.dx)
+
+    def solve(self, first: Problem, second: Problem) -> tuple[Path, Path]:
+        """Return the solutions of two problems. Raises RunError if there are none."""
+        try:
+            return solve_together(first, second, self.grid)
+        except Halt as halt:
+            raise RunError(f"{self.case}: {halt}") from None
+        except Breakdown as broken:
+            x = self.grid.centres[broken.cell]
+            raise RunError(
+                f"{self.case}: a disturbed slope breaks down near x = {x:.6g}, where q = {broken.q:.6g}; "
+                "K spans too many decades there, or q is too near -1"
+            ) from None
+
+    def from_means(self, q: Array) -> Problem:
+        """Return the problem with the cell means q."""
+        nodes, W = self.grid.nodes, np.append(0.0, np.cumsum(q) * self.grid.dx)
+        return replace(self.problem, profile=profiles.profile(lambda x: x + np.interp(x, nodes, W)))
+
+    def disturbance(self, size: float) -> Array:
+        """A random step function with the L1 norm `size`, where it leaves 1 + q positive; 0 in the first cells."""
+        n = self.grid.cells
+        edges = np.sort(self.rng.integers(n // 20, n + 1, self.rng.integers(2, PIECES + 2)))
+        d = np.zeros(n)
+        for a, b, value in zip(edges[:-1], edges[1:], self.rng.normal(size=edges.size - 1), strict=True):
+            d[a:b] = value
+        norm = float(np.abs(d).sum()) * self.grid.dx
+        return np.maximum(d * (size / norm), -SHARE * (1.0 + self.q)) if norm > 0.0 else self.disturbance(size)
+
+    def pairs(self) -> Iterator[list[Distance]]:
+        """The problem's slope and a disturbed one; the disturbed one and the critical slope."""
+        member = 0
+        for size in SIZES:
+            for _ in range(PAIRS):
+                member += 1
+                disturbed = self.from_means(self.q + self.disturbance(size * self.scale))
+                first, other = self.solve(self.problem, disturbed)
+                yield self.rows("data", member, first, other) + self.to_zero(member, other)
+
+    def coefficients(self) -> Iterator[list[Distance]]:
+        """The problem's own coefficient, or its K as a prescribed one, and that with waves on it."""
+        given = self.problem.coefficient or tabulated(self.base.time, self.base.x, self.base.K)
+        waves = [self.waves() for _ in range(WAVES)]
+        for member, (part, wave) in enumerate(product(PARTS, waves), start=1):
+            disturbed = replace(given, function=_times(given.function, part, wave), steady=False, content=None)
+            pair = (replace(self.problem, coefficient=k) for k in (given, disturbed))
+            first, other = self.solve(*pair)
+            yield self.rows("coefficient", member, first, other, part)
+
+    def waves(self) -> Callable[[Any, Any], Any]:
+        """A random smooth function of t and x, no larger than 1."""
+        heights = self.rng.dirichlet(np.ones(SUMMANDS))
+        turns = self.rng.normal(scale=3.0, size=(SUMMANDS, 2)) / (self.problem.end, -self.grid.left)
+        phases = self.rng.uniform(0.0, 2.0 * np.pi, SUMMANDS)
+        return lambda t, x: sum(
+            h * np.sin(2.0 * np.pi * (a * t + b * x) + p) for h, (a, b), p in zip(heights, turns, phases, strict=True)
+        )
+
+    def refreshes(self) -> Iterator[list[Distance]]:
+        """Compare K updated in every step with K frozen over fractional steps: means over time (see `fractional`).
+
+        Nothing is yielded if the coefficient does not depend on time, because freezing it changes nothing.
+        """
+        if self.problem.coefficient is not None and self._does_not_change(self.problem.coefficient):
+            return
+        lengths = [self.problem.end * min(steps / max(self.base.steps, 1), 1.0) for steps in REFRESHES]
+        found = fractional_steps(self.problem, self.grid, METHOD, lengths)
+        for member, step in enumerate(found.steps, start=1):
+            yield [
+                Distance(self.case, study, member, step.refresh, self.problem.end, distance, np.nan)
+                for study, distance in (("refresh", step.error_q_l1), ("refresh kinks", step.error_kink))
+            ]
+
+    def _does_not_change(self, k: Coefficient) -> bool:
+        """Whether k is known to be steady, or a function of t and x has the same values at uneven times."""
+        if k.steady:
+            return True
+        times = self.problem.end * np.sqrt(np.linspace(0.0, 1.0, TIMES_OF_K))  # even times could miss a period
+        values = k.values(times[:, None], self.grid.nodes)
+        return bool(np.array_equal(values, np.broadcast_to(values[0], values.shape)))
+
+    def rows(self, study: str, member: int, first: Path, second: Path, size: float | None = None) -> list[Distance]:
+        """The distance between two solutions; its size is that at the start if no other is given."""
+        apart = self.grid.dx * np.abs(first.q - second.q).sum(axis=1)
+        bound = distance_bound(self.problem.law, first, second)
+        return [
+            Distance(self.case, study, member, float(apart[0]) if size is None else size, float(t), float(d), float(b))
+            for t, d, b in zip(first.time, apart, bound, strict=True)
+        ]
+
+    def to_zero(self, member: int, run: Path) -> list[Distance]:
+        """The distance from the critical slope, to which the flow is a contraction."""
+        norm = self.grid.dx * np.abs(run.q).sum(axis=1)
+        return [
+            Distance(self.case, "zero", member, float(norm[0]), float(t), float(d), float(norm[0]))
+            for t, d in zip(run.time, norm, strict=True)
+        ]
+
+
+def _times(k: Callable[[Any, Any], Any], part: float, wave: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    return lambda t, x: k(t, x) * (1.0 + part * wave(t, x))
+
+
+def distance_bound(law: ErosionLaw, first: Run | Path, second: Run | Path) -> Array:
+    """Return ‖q - q̃‖₁(0) + ∫E dτ (see the module) at the saved times of two solutions, with the smaller of two E."""
+    dx = float(first.x[1] - first.x[0])
+    apart = first.K - second.K
+    variation = np.abs(np.diff(apart, axis=1)).sum(axis=1)
+    rate = np.full(first.time.size, np.inf)
+    for run in (first, second):
+        f = law.f(run.q)
+        E = np.abs(apart).max(axis=1) * np.abs(np.diff(f, axis=1)).sum(axis=1) + variation * np.abs(f).max(axis=1)
+        rate = np.minimum(rate, E)
+    start = dx * float(np.abs(first.q[0] - second.q[0]).sum())
+    return start + np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(first.time)))
+
+
+def largest_distances(distances: Sequence[Distance], study: str) -> dict[int, tuple[float, float]]:
+    """Number of a pair -> its size, and its largest distance over the saved times."""
+    largest: dict[int, tuple[float, float]] = {}
+    for d in distances:
+        if d.study == study:
+            largest[d.member] = d.size, max(largest.get(d.member, (d.size, -np.inf))[1], d.distance)
+    return largest
+
+
+def observed_constant(distances: Sequence[Distance]) -> float:
+    """The least L with ‖q - q̃‖₁(t) <= e^{Lt} ‖q - q̃‖₁(0) for all of them [continous-dep-on-init-data]."""
+    rates = (float(np.log(d.distance / d.size)) / d.time for d in distances if d.time > 0.0 and d.distance > 0.0)
+    return max(rates, default=-np.inf)
+
+
+def summary(distances: Sequence[Distance]) -> tuple[list[str], str]:
+    """What was found, a sentence for each study; and what exceeds its bound, or ""."""
+    studies = {
+        study: [d for d in distances if d.study == study] for study in ("data", "zero", "coefficient", "refresh")
+    }
+    pairs = {study: len({d.member for d in mine}) for study, mine in studies.items()}
+    share = {
+        study: max((d.distance / d.bound for d in mine if d.time > 0.0 and d.bound > 0.0), default=0.0)
+        for study, mine in studies.items()
+    }
+    order = {
+        study: -observed_order(*zip(*largest_distances(distances, study).values(), strict=True))
+        if pairs[study]
+        else np.nan
+        for study in ("coefficient", "refresh")
+    }
+    kinks = largest_distances(distances, "refresh kinks").values()
+    order_of_kinks = -observed_order(*zip(*kinks, strict=True)) if kinks else np.nan
+    grows = "never grows" if share["zero"] <= 1.0 + ROUNDING else "GROWS"
+    sentences = [
+        f"data         {_growth(studies['data'], share['data'])}",
+        f"zero         ‖q‖₁ {grows}, {pairs['zero']} slopes",
+        f"coefficient  ‖q - q̃‖₁ is of order {order['coefficient']:.2f} in k - k̃, {pairs['coefficient']} pairs; at most "
+        f"{share['coefficient']:.2g} of the bound",
+        f"refresh      ‖q - q̃‖₁ is of order {order['refresh']:.2f} in the fractional step"
+        + (f", the distance of kinks of order {order_of_kinks:.2f}" if np.isfinite(order_of_kinks) else "")
+        if pairs["refresh"]
+        else "refresh      none: the coefficient does not change",
+    ]
+    worst = max(("data", "zero", "coefficient"), key=lambda study: share[study])
+    failed = f"a distance of the study {worst!r} is {share[worst]:.4g} times its bound"
+    return sentences, failed if share[worst] > 1.0 + ROUNDING else ""
+
+
+def _growth(data: Sequence[Distance], share: float) -> str:
+    """Return a line on the distances of pairs of slopes; a prescribed coefficient bounds them by those at the start."""
+    pairs = len({d.member for d in data})
+    if all(math.isclose(d.bound, d.size, rel_tol=ROUNDING) for d in data):
+        return f"‖q - q̃‖₁ {'never grows' if share <= 1.0 + ROUNDING else 'GROWS'}, {pairs} pairs"
+    L = [observed_constant([d for d in data if (d.member - 1) // PAIRS == i]) for i in range(len(SIZES))]
+    each = ", ".join(f"{value:.3g}" for value in L)
+    return (
+        f"‖q - q̃‖₁ <= e^(Lt) ‖q - q̃‖₁(0) with L = {max(L):.3g} for {pairs} pairs ({each} from far to near); "
+        f"at most {share:.2g} of the bound"
+    )

@@ -1,0 +1,75 @@
+"""Fractional steps: what it costs to keep the factor for a while (theory, §10)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from hjprofile.errors import InputError, RunError
+from hjprofile.problem import Problem
+from hjprofile.problem.grid import Grid
+from hjprofile.problem.lists import numbers
+from hjprofile.problem.ranges import instance
+from hjprofile.solvers.methods import HJ_METHODS, solve_conservative, solve_hj
+from hjprofile.solvers.run import Run
+from hjprofile.studies.accuracy import compare, observed_order
+
+TIMES = 6  # over which errors are taken, with both ends
+
+
+class Step(NamedTuple):
+    """What comes of one `refresh` Δt: ∫|Δq| dx and the distance of kinks, means over the saved times, and sup|Δu|.
+
+    The distance of kinks is NaN where there are none that both runs see.
+    """
+
+    refresh: float
+    error_q_l1: float
+    error_u_sup: float
+    error_kink: float
+
+
+class Fractional(NamedTuple):
+    """A study: the steps from the longest to the shortest, and the observed orders of the three errors in Δt."""
+
+    steps: list[Step]
+    order_q_l1: float
+    order_u_sup: float
+    order_kink: float
+
+
+def fractional_steps(
+    problem: Problem, grid: Grid, method: str = "conservative", refresh: Sequence[float] | None = None
+) -> Fractional:
+    """Compare S^Δt [eq1-Deltat] for several Δt with the same method and grid, with its factor updated in every step.
+
+    The solutions differ in the age of the factor and in their time steps, on which the errors of the scheme depend.
+    For Δt of several steps that is small compared with the error of the fractional step. By default Δt is a fifth of
+    the problem's end, and a half, a quarter and an eighth of that. The solutions are compared at TIMES even times.
+    Raises InputError if no time passes, and RunError if a run does not reach the end.
+    """
+    instance("problem", problem, Problem)
+    if not problem.end > 0.0:
+        raise InputError(f"end = {problem.end:g}; a study of fractional steps needs an end above 0")
+    problem = replace(problem, snapshots=np.linspace(0.0, problem.end, TIMES).tolist())
+    parts = [problem.end / n for n in (5, 10, 20, 40)]
+    lengths = sorted(numbers("refresh", parts if refresh is None else refresh).tolist(), reverse=True)
+
+    def solved(length: float | None) -> Run:
+        solver = solve_hj if method in HJ_METHODS else solve_conservative
+        run = solver(problem, grid, method, refresh=length)
+        if not run.done:
+            raise RunError(f"{method} with refresh = {length}: {run.status}")
+        return run
+
+    reference, steps = solved(None), []
+    for length in lengths:
+        apart = compare(solved(length), reference)
+        steps.append(Step(length, apart.slope_l1, apart.height_sup, apart.kinks))
+    orders = [
+        observed_order([1.0 / length for length in lengths], errors) for errors in list(zip(*steps, strict=True))[1:]
+    ]
+    return Fractional(steps, *orders)

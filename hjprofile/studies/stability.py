@@ -1,0 +1,343 @@
+"""Where methods fail: each limit is met on purpose, and held against theory (§7).
+
+A trial takes steps of a stated CFL number Δt max(K f')/Δx, come what may: nothing is taken anew, nothing adapts. Its
+data carry a sawtooth far below everything else, so that what is unstable shows within the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from hjprofile.errors import InputError
+from hjprofile.problem import Problem
+from hjprofile.problem.grid import Grid
+from hjprofile.problem.ranges import instance
+from hjprofile.solvers.grids import conservation
+from hjprofile.solvers.grids import hamilton_jacobi as hj
+from hjprofile.solvers.grids.bounds_monitor import HIGHER_ORDER, LOCAL, MONOTONE, TELESCOPING, BoundsMonitor, Promises
+from hjprofile.solvers.grids.grid_law import GridLaw, grid_law
+from hjprofile.solvers.grids.high_order import ssp_rk2
+from hjprofile.solvers.grids.march import Scheme
+from hjprofile.solvers.run import Array, Breakdown, State
+
+CELLS = 400
+STEPS = 6000  # at most in a trial
+SAWTOOTH = 1e-8  # well above rounding, and below what any bound or picture can show
+OSCILLATION = 0.02  # of 1 + TV(q), beyond what the equation lets it grow
+CFL = (0.2, 0.4, 0.6, 0.8, 0.9, 1.0, 1.1, 1.2, 1.4, 1.6, 1.8, 2.0, 2.25, 2.5, 2.75, 3.0)
+VISCOSITY = (0.0, 0.25, 0.5, 0.75, 0.9, 0.95, 0.98, 1.0, 1.02, 1.05, 1.1, 1.2, 1.4, 1.6, 1.8, 2.0)  # of max K f'
+VISCOSITY_AT = (0.45, 0.7, 0.9)  # CFL numbers
+REFRESH = (1, 4, 16, 64, 256, 1024)  # steps that share a K
+SMALLEST = (0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 1e-4)  # 1 + q in a hollow
+EXPONENTS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 600.0, 800.0)  # largest |ln K|
+CUTS = (-0.2, -0.1, 0.0, 0.1, 0.2, 0.4)  # of the support, cut off on the left
+BISECTIONS = 6
+SAFE = 0.6  # CFL number at which no method is near its limit
+HIGHEST_EXPONENT = float(np.log(np.finfo(float).max))
+
+HOLDS, LOSES, OSCILLATES, FAILS = "holds", "loses_bounds", "oscillates", "fails"
+
+
+class Trial(NamedTuple):
+    """One point of the scan. `theory` is the limit that theory draws for the parameter, NaN if there is none."""
+
+    case: str
+    method: str
+    parameter: str
+    value: float | str
+    outcome: str
+    detail: str
+    theory: float
+
+
+@dataclass(frozen=True)
+class _Data:
+    """Cell means on a grid, and the time to go."""
+
+    problem: Problem
+    grid: Grid
+    q: Array
+    end: float
+
+    @property
+    def law(self) -> GridLaw:
+        return grid_law(self.problem.law, self.q)
+
+    @property
+    def W(self) -> Array:
+        return np.concatenate([[0.0], np.cumsum(self.q) * self.grid.dx])
+
+
+class _Laboratory(conservation.FirstOrder):
+    """The plain schemes for q with what nobody should ask of them: any viscosity, stale K, edges without a limiter."""
+
+    def __init__(
+        self, data: _Data, flux: str = "godunov", viscosity: float = 1.0, refresh: int = 1, edges: str = "monotone"
+    ):
+        super().__init__(data.law, data.grid, data.q, 0.0, 0.0, conservation.FLUXES[f"conservative-{flux}"])
+        self.viscosity, self.refresh, self.edges = viscosity, refresh, edges
+        self.taken = 0
+        self.stale = self.K
+
+    def advance(self, dt: float, steps: int, bound: float) -> float:
+        if self.taken % self.refresh == 0:
+            self.stale = self.K
+        self.taken += 1
+        rate = partial(self._rate, bound=bound)
+        # with forward Euler steps all edges but the monotone ones are unstable
+        q = self.q + dt * rate(self.q) if self.edges == "monotone" else ssp_rk2(self.q, rate, dt)
+        self.growth += dt * (float(self.K[0]) - 1.0)  # by the K that should have been used
+        self.outflow += self.grid.dx * float(np.sum(self.q) - np.sum(q))
+        self.q = q
+        return bound
+
+    def _rate(self, q: Array, bound: float) -> Array:
+        if not np.min(q) > -1.0:
+            raise Breakdown(q, self.K)
+        K, dx, left, right = self.stale, self.grid.dx, q, np.append(q[1:], q[-1])
+        if self.edges != "monotone":
+            K = np.exp(np.append(np.cumsum(dx * self.law.f(q)[::-1])[::-1], 0.0))  # of the stage
+            back, ahead = np.diff(q, prepend=q[0]), np.diff(q, append=q[-1])
+            if self.edges == "central":
+                left = 0.5 * (left + right)
+            elif self.edges == "unlimited":  # Fromm's
+                left = q + 0.25 * (back + ahead)
+            else:  # limited by minmod
+                least = np.sign(back) * np.minimum(np.abs(back), np.abs(ahead))
+                left = q + 0.5 * np.where(back * ahead > 0.0, least, 0.0)
+            right = left
+            if not np.min(left) > -1.0:
+                raise Breakdown(left, self.K)
+        F, _ = self.flux(self.law, dx, left, right, K, self.viscosity * bound)
+        return -np.diff(F, prepend=0.0) / dx
+
+
+def stability(case: str, problem: Problem, grid: Grid, progress: Callable[[float], None] | None = None) -> list[Trial]:
+    """Scans CFL number, viscosity, age of K, reconstruction, smallness of 1 + q, size of ∫f and truncation.
+
+    On CELLS cells. Raises InputError where something flows in, no time passes, the slope is critical all over, or a
+    coefficient is prescribed.
+    """
+    instance("problem", problem, Problem)
+    instance("grid", grid, Grid)
+    problem.check_method("")
+    if problem.line == "whole":
+        raise InputError(f"{case}: a scan is of the half line; set line = 'half'")
+    if problem.profile.inflow:
+        raise InputError(f"{case}: something flows in at the left end; a scan needs a profile with q = 0 there")
+    if problem.coefficient is not None:
+        raise InputError(f"{case}: a scan varies the nonlocal factor; it says nothing about a prescribed coefficient")
+    if problem.law.grows_linearly:
+        raise InputError(
+            f"{case}: the law grows linearly, so that slopes have no bound to be kept; "
+            "a scan needs a law of sublinear growth"
+        )
+    grid = Grid(grid.left, CELLS)
+    q = np.diff(problem.profile.W(grid.nodes, problem.law)) / grid.dx
+    if not problem.end > 0.0 or not np.abs(q).max() > 0.0:
+        raise InputError(f"{case}: nothing happens; a scan needs an end above 0 and a slope that is not critical")
+    data = _Data(problem, grid, q, problem.end)
+    points: list[Trial] = []
+    scans = (_cfl, _viscosity, _refresh, _reconstruction, _smallness, _exponents, _truncation)
+    for i, scan in enumerate(scans):
+        points += (Trial(case, *row) for row in scan(data))
+        if progress:
+            progress((i + 1) / len(scans))
+    return points
+
+
+Row = tuple[str, str, float | str, str, str, float]  # a Trial without its case
+
+
+def _cfl(data: _Data) -> Iterator[Row]:
+    """Every method over CFL numbers, and bisection for the limit of those that are monotone."""
+    for method, (make, promises, theory) in _methods().items():
+
+        def attempt(number: float) -> tuple[str, str]:
+            return _attempt(make(data), data, number, promises, _flux_type(method))  # noqa: B023
+
+        tried = {number: attempt(number) for number in CFL}
+        broken = [n for n in CFL if tried[n][0] != HOLDS]
+        if promises is not HIGHER_ORDER and broken:
+            low = max([n for n in CFL if n < broken[0]], default=0.0)
+            high = broken[0]
+            for _ in range(BISECTIONS):
+                middle = round(0.5 * (low + high), 4)
+                tried[middle] = attempt(middle)
+                low, high = (middle, high) if tried[middle][0] == HOLDS else (low, middle)
+        for number in sorted(tried):
+            yield method, "cfl", number, *tried[number], theory
+
+
+def _viscosity(data: _Data) -> Iterator[Row]:
+    """Lax-Friedrichs over viscosity and CFL number: monotone between α = max K f' and α = Δx/Δt."""
+    for number in VISCOSITY_AT:
+        for share in VISCOSITY:
+            scheme = _Laboratory(data, "lax-friedrichs", viscosity=share)
+            outcome, detail = _attempt(scheme, data, number, MONOTONE, _flux_type("lax-friedrichs"), share)
+            yield "lax-friedrichs", f"viscosity at cfl {number:g}", share, outcome, detail, 1.0
+
+
+def _refresh(data: _Data) -> Iterator[Row]:
+    """Stale K moves kinks at a wrong speed: the scheme stays monotone, and the eroded volume tells."""
+    for steps in REFRESH:
+        scheme = _Laboratory(data, "godunov", refresh=steps)
+        before = scheme.volume()
+        outcome, detail = _attempt(scheme, data, SAFE, MONOTONE)
+        off = abs(before - scheme.volume() - scheme.growth)
+        yield "godunov", "refresh", float(steps), outcome, f"{detail}; volume off by {off:.3g}", np.nan
+
+
+def _reconstruction(data: _Data) -> Iterator[Row]:
+    for edges in ("monotone", "limited", "unlimited", "central"):
+        scheme = _Laboratory(data, "godunov", edges=edges)
+        promises = MONOTONE if edges == "monotone" else HIGHER_ORDER
+        yield "godunov", "reconstruction", edges, *_attempt(scheme, data, 0.5 * SAFE, promises), np.nan
+
+
+def _smallness(data: _Data) -> Iterator[Row]:
+    """A hollow a twentieth of the domain wide, for each method."""
+    n = data.q.size
+    for method, (make, promises, _) in _methods().items():
+        for p in SMALLEST:
+            q = data.q.copy()
+            q[n // 2 : n // 2 + n // 20] = p - 1.0
+            hollow = _Data(data.problem, data.grid, q, data.end)
+            # MUSCL-Hancock takes K half a step ahead by 1 + ½ f dx, which must stay positive
+            limit = np.nan
+            if method == "conservative":
+                tries = np.geomspace(1e-6, 1.0, 400)
+                limit = float(tries[np.searchsorted(data.problem.law.f(tries - 1.0) * data.grid.dx, -2.0)])
+            yield method, "least 1 + q", p, *_attempt(make(hollow), hollow, SAFE, promises), limit
+
+
+def _exponents(data: _Data) -> Iterator[Row]:
+    """The same slopes on a longer grid: ln K grows with it."""
+    exponent = np.abs(np.cumsum(data.law.f(data.q)[::-1])).max() * data.grid.dx
+    for method, (make, promises, _) in _methods().items():
+        for most in EXPONENTS:
+            stretch = float(most / exponent)
+            grid = Grid(stretch * data.grid.left, CELLS)
+            # until the first kink has crossed a few cells: where K is large that is soon
+            longer = _Data(data.problem, grid, data.q, 20.0 * stretch * data.grid.dx * float(np.exp(-min(most, 700.0))))
+            yield method, "largest |ln K|", most, *_attempt(make(longer), longer, SAFE, promises), HIGHEST_EXPONENT
+
+
+def _truncation(data: _Data) -> Iterator[Row]:
+    """Left ends inside the support of q: what lies right of them is compared with a run on the whole grid."""
+    support = np.flatnonzero(np.abs(data.q) > 1e-9)
+    start, width = int(support[0]), int(support[-1] - support[0]) + 1
+    whole = _Laboratory(data)
+    same = partial(_attempt, number=SAFE, promises=MONOTONE, saw=0.0, steps=60, speed=2.0 * whole.evaluate())  # same Δt
+    same(whole, data)
+    for cut in CUTS:
+        first = max(start + round(cut * width), 0)
+        x = float(data.grid.nodes[first])
+        part = _Data(data.problem, Grid(x, data.q.size - first), data.q[first:], data.end)
+        scheme = _Laboratory(part)
+        outcome, detail = same(scheme, part)
+        differs = np.flatnonzero(np.abs(scheme.q - whole.q[first:]) > 1e-10)
+        if outcome == HOLDS and differs.size:
+            reach = float(part.grid.nodes[differs[-1] + 1])
+            outcome, detail = LOSES, f"q is wrong from x = {x:.4g} to {reach:.4g}: what lies left of the grid is lost"
+        yield "godunov", "left end", x, outcome, detail, float(data.grid.nodes[start])
+
+
+Make = Callable[[_Data], Scheme]
+
+
+def _methods() -> dict[str, tuple[Make, Promises, float]]:
+    """Return, for every method on a grid, its setup, its bounds, and its largest CFL number for any data by theory."""
+
+    def first_order(flux: str) -> Make:
+        return lambda data: hj.HamiltonJacobi(data.law, data.grid, data.W, hj.FLUXES[flux])
+
+    return {
+        "godunov": (first_order("godunov"), MONOTONE, 1.0),
+        "telescoping": (first_order("telescoping"), TELESCOPING, 1.0),
+        "local-lax-friedrichs": (first_order("local-lax-friedrichs"), LOCAL, 2 / 3),  # 1 where q does not jump down
+        "lax-friedrichs": (first_order("lax-friedrichs"), LOCAL, 2 / 3),
+        "conservative": (lambda d: conservation.SecondOrder(d.law, d.grid, d.q, 0.0, 0.0), HIGHER_ORDER, 1.0),
+        "eno2": (lambda d: hj.HighOrderHamiltonJacobi(d.law, d.grid, d.W, "eno2", 0.0), HIGHER_ORDER, 0.5),
+        "weno5": (lambda d: hj.HighOrderHamiltonJacobi(d.law, d.grid, d.W, "weno5", 0.0), HIGHER_ORDER, np.nan),
+    }
+
+
+def _flux_type(method: str) -> type[hj.Flux] | None:
+    return hj.FLUXES[method] if method in ("godunov", "telescoping", "lax-friedrichs") else None
+
+
+@np.errstate(all="ignore")
+def _attempt(
+    scheme: Scheme, data: _Data, number: float, promises: Promises, flux: type[hj.Flux] | None = None,
+    viscosity: float = 1.0, saw: float = SAWTOOTH, steps: int = STEPS, speed: float = 0.0,
+) -> tuple[str, str]:  # fmt: skip
+    """Outcome and detail of steps of one CFL number; `speed` is used in place of a smaller max K f'."""
+    grid, t = data.grid, 0.0
+    _roughen(scheme, saw)
+    bounds = BoundsMonitor(
+        data.problem.law, grid, scheme.W, 0.0, data.end, promises, flux if viscosity >= 1.0 else None
+    )
+    taken, oscillates = 0, ""
+    try:
+        while True:
+            fastest = max(scheme.evaluate(), speed)
+            first, q = scheme.means()
+            scheme.law = scheme.law.covering(q)
+            bound = viscosity * fastest
+            dt = number * grid.dx / fastest
+            bounds.observe(
+                State(t, taken, first, q, scheme.law.kernel, fastest, bound, dt, scheme.growth, scheme.outflow,
+                      scheme.volume)
+            )  # fmt: skip
+            grown = float(np.abs(np.diff(q)).sum()) - bounds.variation - bounds.growth_allowed
+            if grown > OSCILLATION * (1.0 + bounds.variation):
+                oscillates = oscillates or f"TV(q) grows beyond what it may at t = {t:.4g}, step {taken}"
+            if t >= data.end or taken >= steps:
+                break
+            dt = min(dt, data.end - t)
+            if not np.isfinite(scheme.advance(dt, 1, fastest)):
+                raise Breakdown(q, np.full(1, np.inf), first)
+            t, taken = t + dt, taken + 1
+    except Breakdown as broken:
+        x = float(grid.centres[min(broken.cell, grid.cells - 1)])
+        what = "the run cannot start" if not taken else f"q = {broken.q:.4g} at x = {x:.4g}, t = {t:.4g}, step {taken}"
+        return FAILS, f"{oscillates}; {what}" if oscillates else what
+    if t < data.end and steps == STEPS:
+        return FAILS, f"the time step collapses: {taken} steps to t = {t:.4g} of {data.end:.4g}"
+    if oscillates:
+        return OSCILLATES, oscillates
+    lost = [(b.worst_margin, name, b) for name, b in bounds.bounds.items() if not b.holds]
+    if lost:
+        _, name, b = min(lost)
+        return LOSES, f"{name} at t = {b.time:.4g}, {-b.worst_margin:.2g} times its allowance; {taken} steps"
+    return HOLDS, f"{taken} steps to t = {t:.4g}"
+
+
+def _roughen(scheme: Scheme, saw: float) -> None:
+    """Adds the sawtooth to the data."""
+    n = scheme.q.size
+    teeth = saw * np.where(np.arange(n) % 2, 1.0, -1.0)
+    teeth[:2] = teeth[-2:] = 0.0
+    for name in ("q", "state", "W"):
+        if name in scheme.memory:
+            state = getattr(scheme, name)
+            dx = float(scheme.grid.dx)  # type: ignore[attr-defined]
+            state += teeth if state.size == n else np.append(0.0, np.cumsum(teeth) * dx)
+            break
+    if "active" in scheme.memory:
+        scheme.active = 0, getattr(scheme, name).size - 1  # type: ignore[attr-defined]
+
+
+def measured_limit(points: Sequence[Trial], method: str) -> tuple[float, float]:
+    """Between which two CFL numbers a method stops to hold; infinite where it never does."""
+    mine = sorted((float(p.value), p.outcome) for p in points if p.method == method and p.parameter == "cfl")
+    broken = [value for value, outcome in mine if outcome != HOLDS]
+    if not broken:
+        return mine[-1][0], np.inf
+    return max([v for v, outcome in mine if outcome == HOLDS and v < broken[0]], default=0.0), broken[0]
