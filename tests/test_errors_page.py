@@ -16,13 +16,12 @@ from hjprofile.solvers.methods import check_method
 
 HOME = Path(hjprofile.__file__).parent
 ROOT = Path(__file__).parent.parent
-SAYING = {"InputError", "RunError", "Halt", "Lost", "_leave", "error", "refuse"}  # what is called with a sentence
+SAYING = {"InputError", "RunError", "_leave", "error", "refuse"}  # what is called with a sentence
 ABOUT = {"InputError", "RunError", "error", "_leave"}  # ... and with a heading after it
 # functions whose strings are parts of such sentences
-PARTS = {"did_you_mean", "_what_a_header_is", "_why", "_advice", "sentence", "_small_step_sentence"}
-PARTS |= {"_breakdown_sentence"}
+PARTS = {"did_you_mean", "_what_a_header_is"}
 SILENT = {  # without a sentence: exceptions caught inside, or of no concern to a user; and what hands one on
-    "missing", "Breakdown", "_StepTooSmall",
+    "missing", "Breakdown", "_StepTooSmall", "Stopped", "Halt", "Lost", "mapped",
     "NotImplementedError", "TypeError", "ValueError", "AttributeError", "OSError",
 }  # fmt: skip
 ANYTHING = "\N{HORIZONTAL ELLIPSIS}"  # in a sentence: what varies
@@ -111,6 +110,10 @@ class Sentences(ast.NodeVisitor):
             self.found += [(text, False) for text in self.variants(node.args[0])] if name != "refuse" else [
                 (text, True) for i in (0, 2) for text in self.variants(node.args[i])
             ]  # fmt: skip
+        if name == "Stop":  # templates of str.format, and what to try
+            given = node.args[1:3] + [k.value for k in node.keywords if k.arg in ("words", "remedy")]
+            texts = [text for value in given for text in self.variants(value)]
+            self.found += [(re.sub(r"\{[^}]*\}", ANYTHING, text), True) for text in texts]
         if name in ABOUT:
             given = node.args[2:] if name == "_leave" else node.args[1:]
             given += [k.value for k in node.keywords if k.arg == "about"]

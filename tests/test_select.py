@@ -12,6 +12,7 @@ from hjprofile.errors import RunError
 from hjprofile.problem.case import parse_case
 from hjprofile.solvers import select
 from hjprofile.solvers.closed_forms import closed_form
+from hjprofile.solvers.stop import Reason, Stop, Stopped
 
 T2 = hj.bumps([0.8, -0.3], [-5.0, -3.0], [1.0, 0.5])
 # a prescribed coefficient, a rolling layer and vertical steps are for methods whose order is the first at best
@@ -162,7 +163,7 @@ def test_a_tolerance_that_nothing_meets_is_told(monkeypatch):
     """Three decades finer than characteristics know themselves; the result is the best that was found."""
 
     def refuses(*_):
-        raise RunError("stopped at t = 0: no")
+        raise Stopped(Stop(Reason.LABELS_LOST, "stopped at t = 0: no"))
 
     monkeypatch.setattr(select, "solve_characteristics", refuses)
     monkeypatch.setattr(select, "MOST_FRONTS", 400)

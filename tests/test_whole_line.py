@@ -14,6 +14,8 @@ from hjprofile.problem.case import load_case, parse_case, resolved_case
 from hjprofile.problem.line import moved
 from hjprofile.solvers.closed_forms import closed_form
 from hjprofile.solvers.methods import METHODS, solve_case
+from hjprofile.solvers.stop import Place, Reason, Time
+from hjprofile.solvers.stop import Stop as Reasoned
 from hjprofile.solvers.whole_line import Window
 
 LAWS = {"rational": hj.rational(), "log": hj.log(), "power": hj.power(3.0)}
@@ -149,8 +151,9 @@ def test_a_run_ends_where_something_leaves_the_window(method, profile):
 def test_times_and_places_in_sentences_are_those_of_the_line():
     window = Window(wave(hj.rational()), GRID)
     (tau,) = window.time(np.array([1.5]))
-    text = window.sentence(f"stopped at t = {tau:.17g} near x = -9.5: q = -1.2 reached -1")
-    assert text == "stopped at t = 1.5 near x = -5.5: q = -1.2 reached -1"
+    here = {"t": Time(tau), "x": Place(-9.5), "q": -1.2}
+    stop = Reasoned(Reason.NOT_ADMISSIBLE, "stopped at t = {t:.6g} near x = {x:.6g}: q = {q:g} reached -1", values=here)
+    assert str(stop.mapped(window.back, window.place)) == "stopped at t = 1.5 near x = -5.5: q = -1.2 reached -1"
     run = hj.solve_hj(wave(hj.rational()), GRID, "godunov", cfl=3.0)
     assert not run.done and "stopped at t = " in run.status and run.x[0] >= -6.0
 

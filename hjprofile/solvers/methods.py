@@ -33,7 +33,8 @@ from hjprofile.solvers.grids.bounds_monitor import (
 )
 from hjprofile.solvers.grids.high_order import ORDERS
 from hjprofile.solvers.grids.kink_tracker import KinkTracker
-from hjprofile.solvers.grids.march import NOBODY, Scheme, march
+from hjprofile.solvers.grids.march import NOBODY, march
+from hjprofile.solvers.grids.scheme import Scheme
 from hjprofile.solvers.run import Keeper, Monitor, Run, in_order
 from hjprofile.solvers.select import least_work
 from hjprofile.solvers.vertical_steps.step_fronts import step_law
@@ -224,7 +225,7 @@ def _solve(
         u=u,
         q=record.q,
         K=record.K,
-        status=record.status,
+        stop=record.stop,
         steps=record.steps,
         step_range=record.step_range,
         wall_seconds=record.wall_seconds,

@@ -12,6 +12,7 @@ import hjprofile
 from hjprofile.problem.case import to_toml
 from hjprofile.problem.ranges import read_only
 from hjprofile.problem.units import Units
+from hjprofile.solvers.stop import ROBUST_METHOD, Place, Reason, Stop, Time
 
 if TYPE_CHECKING:
     import xarray
@@ -47,7 +48,11 @@ class State(NamedTuple):
 
 
 class Halt(Exception):
-    """Raised by a monitor that stops the run; the message says why, and what to try."""
+    """Raised by a monitor that stops the run, with the reason."""
+
+    def __init__(self, stop: Stop):
+        super().__init__(str(stop))
+        self.stop = stop
 
 
 class Breakdown(Exception):
@@ -160,13 +165,17 @@ class Verdict(NamedTuple):
     x: float
     allowance: str
 
-    def sentence(self, name: str) -> str:
-        """What a broken bound says to the user."""
-        where = "" if np.isnan(self.x) else f" near x = {self.x:.6g}"
-        return (
-            f"{name} does not hold at t = {self.time:.6g}{where}: exceeded by {-self.worst_margin:.3g} times what is "
-            f"allowed ({self.allowance}); use a monotone method (godunov) with cfl at most 1, or more cells"
-        )
+    def broken(self, name: str) -> Stop:
+        """Return the reason to stop, or to doubt the result, of a bound of that name that does not hold."""
+        where = "" if np.isnan(self.x) else " near x = {x:.6g}"
+        return Stop(
+            Reason.BROKEN_BOUND,
+            "{name} does not hold at t = {t:.6g}" + where + ": exceeded by {excess:.3g} times what is allowed "
+            "({allowance})",
+            f"use a monotone method ({ROBUST_METHOD}) with cfl at most 1, or more cells",
+            {"name": name, "t": Time(self.time), "x": Place(self.x), "excess": -self.worst_margin,
+             "allowance": self.allowance},
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -182,6 +191,8 @@ class Run:
         q: cell means of u_x - 1, shape (times, cells).
         status: "done", or a sentence that says when, where and why the run stopped and what to try. The last saved
             time is then the last good state.
+        stop: the same as a record of which `status` is the sentence; None for a run that went to its end or was read
+            from a file.
         steps, step_range: number of time steps, least and largest.
         wall_seconds: of the time stepping alone; compilation, monitoring and output apart.
         kinks, events: the kinks at the saved times; births, merges and exits.
@@ -223,8 +234,11 @@ class Run:
     units: Units | None = None
     account: str = ""
     cautions: Sequence[str] = ()
+    stop: Stop | None = None
 
     def __post_init__(self) -> None:
+        if self.stop is not None:
+            object.__setattr__(self, "status", str(self.stop))
         for name in FIELDS:
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
@@ -241,7 +255,7 @@ class Run:
     @property
     def broken_bounds(self) -> list[str]:
         """A sentence for each bound that the method promises and that was broken."""
-        return [b.sentence(name) for name, b in self.bounds.items() if not b.holds]
+        return [str(b.broken(name)) for name, b in self.bounds.items() if not b.holds]
 
     @property
     def cells(self) -> int:

@@ -12,17 +12,18 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hjprofile.errors import InputError, RunError
+from hjprofile.errors import InputError
 from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Bumps, Kinks
 from hjprofile.solvers import closed_forms
-from hjprofile.solvers.characteristics.moving_labels import LABEL, TOO_LONG, TRY
+from hjprofile.solvers.characteristics.moving_labels import LABEL, TRY
 from hjprofile.solvers.characteristics.shock_fitting import FINEST, READ, solve_characteristics
 from hjprofile.solvers.data_resolution import cells_resolve
 from hjprofile.solvers.fronts.front_tracking import Witness, begin, track, track_fronts
 from hjprofile.solvers.run import Array, KinkRecord, Run
+from hjprofile.solvers.stop import ROBUST_METHOD, Reason, Stop, Stopped
 from hjprofile.solvers.units_of_the_law import Units
 from hjprofile.solvers.whole_line import also_on_the_whole_line
 
@@ -57,6 +58,9 @@ COARSE_CELLS, COARSE_TIMES = 200, 10  # on which two runs are compared, at least
 BETWEEN = 0.25, 0.5, 0.75  # of the run, too: after a past that both have wrong they may agree
 
 
+UNRESOLVED = Stop(Reason.NOT_RESOLVED, "do not resolve the profile")
+
+
 @dataclass
 class _Search:
     """What was tried, and what came of it, in the units of the law."""
@@ -66,37 +70,43 @@ class _Search:
     tolerance: float
     progress: Progress | None
     units: Units
-    done: list[Run] = field(default_factory=list)  # with an estimate, and `account` the reason to take it
-    failed: list[str] = field(default_factory=list)
+    done: list[tuple[Run, str, Stop | None]] = field(default_factory=list)  # with an estimate; why it was tried
+    failed: list[Stop] = field(default_factory=list)
     seconds: float = 0.0
 
-    def offer(self, run: Run, reason: str, estimate: float | None = None) -> bool:
+    def offer(self, run: Run, reason: str, estimate: float | None = None, because: Stop | None = None) -> bool:
         """Keeps a run with the estimate of its error, its own if none is given; whether that meets the tolerance."""
         known = estimate if estimate is not None else run.error_estimate
         assert known is not None
-        self.done.append(replace(run, error_estimate=known, account=reason))
+        self.done.append((replace(run, error_estimate=known), reason, because))
         return known <= self.tolerance
+
+    def fail(self, name: str, why: Stop) -> None:
+        """Notes that a method does not go through."""
+        self.failed.append(Stop(why.reason, "{name} {why}", values={"name": name, "why": why}))
 
     def attempt(self, solve: Callable[[], Run], name: str) -> Run | None:
         """A run that goes to its end, or None, with the reason noted."""
         try:
             run = solve()
-        except RunError as error:
-            self.failed.append(f"{name} {str(error).partition('; use')[0]}")
+        except Stopped as error:
+            self.fail(name, error.stop)
             return None
         self.seconds += run.wall_seconds
-        if not run.done:
-            self.failed.append(f"{name} {run.status.partition('; use')[0]}")
+        if run.stop is not None:
+            self.fail(name, run.stop)
             return None
         return run
 
     def result(self, problem: Problem, grid: Grid, tolerance: float) -> Run:
         """Return the best of what was tried, in the units of a problem. Raises RunError if nothing went to its end."""
         if not self.done:
-            failed = self.units.sentence("; ".join(self.failed))
-            raise RunError(f"no method meets the tolerance {tolerance:g}: {failed}; use the method godunov")
-        best = min(self.done, key=lambda run: float(run.error_estimate or 0.0))
-        run, reason = self.units.run(best, problem, grid), self.units.sentence(best.account)
+            causes = {f"why{i}": self.units.stop(stop) for i, stop in enumerate(self.failed)}
+            words = f"no method meets the tolerance {tolerance:g}: " + "; ".join(f"{{{name}}}" for name in causes)
+            raise Stopped(Stop(Reason.NO_METHOD, words, f"use the method {ROBUST_METHOD}", causes))
+        best, reason, because = min(self.done, key=lambda offered: float(offered[0].error_estimate or 0.0))
+        run = self.units.run(best, problem, grid)
+        reason += f", because {self.units.stop(because).cause}" if because else ""
         account = f"{reason}: error of u about {run.error_estimate:.1g} (tolerance {tolerance:g}), {self.seconds:.2g} s"
         case = resolved_case(problem, grid, "auto", tolerance=tolerance)
         account = "\n".join(filter(None, (problem.profile.account, account)))
@@ -167,7 +177,7 @@ def _fronts_or_characteristics(search: _Search) -> bool:
             why = f"because {needed:.2g} fronts would cost more" if np.isfinite(needed) else "because fronts fail"
             if _characteristics(search, spent, why):
                 return True
-            if not (search.failed and search.failed[-1].endswith(TOO_LONG)):
+            if not (search.failed and search.failed[-1].reason is Reason.TOO_LONG):
                 spent = np.inf
         if not np.isfinite(needed) or (needed > HOPELESS * MOST_FRONTS and search.done):
             break
@@ -195,7 +205,7 @@ def _characteristics(search: _Search, patience: float, why: str) -> bool:
         )
         if run is not None and search.offer(run, f"characteristics in {run.steps} steps, {why}"):
             return True
-        if run is None and (search.failed[-1].endswith(TOO_LONG) or "not smooth" in search.failed[-1]):
+        if run is None and search.failed[-1].reason in (Reason.TOO_LONG, Reason.NOT_SMOOTH):
             return False
     return False
 
@@ -243,11 +253,11 @@ class _Ladder:
         problem, grid = (self.search.problem, self.search.grid) if last else (self.few, self.coarse)
         try:
             begun = begin(problem, grid.left, fronts)
-        except RunError as error:
-            self.search.failed.append(f"{fronts} fronts {str(error).partition('; use')[0]}")
+        except Stopped as error:
+            self.search.fail(f"{fronts} fronts", error.stop)
             return None
         if not begun.resolution.holds:
-            self.search.failed.append(f"{fronts} fronts do not resolve the profile")
+            self.search.fail(f"{fronts} fronts", UNRESOLVED)
             return None
         witness = Witness(problem.end * np.array(BETWEEN), self.coarse.nodes)
         run = self.search.attempt(
@@ -326,12 +336,12 @@ class _Ladder:
         if run is None:
             return False, np.inf
         estimate = self._estimate(fronts)
-        reason = f"{fronts} fronts, because their error falls with their square"
+        reason, because = f"{fronts} fronts, because their error falls with their square", None
         if fronts == self.first:
             reason = f"{fronts} fronts, because no fewer tell what their error is"
         elif search.failed:
-            reason = f"{fronts} fronts, because {search.failed[-1]}"
-        if search.offer(run, reason, estimate):
+            reason, because = f"{fronts} fronts", search.failed[-1]
+        if search.offer(run, reason, estimate, because):
             return True, fronts
         return False, max(self._needed(fronts), MORE * fronts) if fronts < MOST_FRONTS else np.inf
 
@@ -358,7 +368,7 @@ def _on_grids(search: _Search, method: str, on_grid: Callable[[Problem, Grid, st
     while cells <= max(MOST_CELLS, 2 * grid.cells):
         fine = replace(grid, cells=cells)
         if not cells_resolve(search.problem, fine).holds:  # then a small difference of two runs proves nothing
-            search.failed.append(f"{cells} cells do not resolve the profile")
+            search.fail(f"{cells} cells", UNRESOLVED)
             cells *= 2
             continue
         run = search.attempt(lambda g=fine: on_grid(search.problem, g, method), method)  # type: ignore[misc]

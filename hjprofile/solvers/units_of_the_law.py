@@ -6,24 +6,20 @@ the power of 2 nearest to R(0) = 1/f'(0), so that all numbers change without rou
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache, wraps
 from typing import Any
 
 import numpy as np
 
-from hjprofile.errors import RunError
 from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.erosion import ErosionLaw, Function
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.line import stretched
 from hjprofile.solvers.run import Run
-
-COORDINATE = re.compile(r"\b([tx]) = (-?\d[\d.]*(?:e[-+]?\d+)?)")
+from hjprofile.solvers.stop import Stop, Stopped
 
 
 @dataclass(frozen=True)
@@ -65,23 +61,9 @@ class Units:
             return grid  # which may know its nodes
         return replace(grid, left=grid.left / self.length, right=grid.right / self.length)
 
-    def sentence(self, text: str) -> str:
-        """Return a text of a solver with its times and positions in the units of the problem."""
-        if self.length == 1.0:
-            return text
-
-        def there(match: re.Match) -> str:
-            return f"{match[1]} = {float(match[2]) * (self.time if match[1] == 't' else self.length):.6g}"
-
-        return COORDINATE.sub(there, text)
-
-    @contextmanager
-    def errors(self) -> Iterator[None]:
-        """Raise errors of a solver with the times and positions of the problem."""
-        try:
-            yield
-        except RunError as error:
-            raise RunError(self.sentence(str(error))) from None
+    def stop(self, stop: Stop) -> Stop:
+        """Return the reason why a solver stopped with its times and places in the units of the problem."""
+        return stop.mapped(lambda t: t * self.time, lambda x: x * self.length)
 
     def run(self, run: Run, problem: Problem, grid: Grid) -> Run:
         """Return a run of `self.problem(problem)` on `self.grid(grid)` as one of the problem on the grid."""
@@ -97,7 +79,7 @@ class Units:
             x=grid.nodes,
             x_cell=grid.centres,
             u=run.u * length,
-            status=self.sentence(run.status),
+            stop=run.stop and self.stop(run.stop),
             step_range=(run.step_range[0] * time, run.step_range[1] * time),
             kinks=[
                 k._replace(
@@ -128,8 +110,10 @@ def in_units_of_the_law(solver: Callable[..., Run]) -> Callable[..., Run]:
         units = Units.of(problem.law)
         if units.length == 1.0:
             return solver(problem, grid, *args, **kwargs)
-        with units.errors():
+        try:
             return units.run(solver(units.problem(problem), units.grid(grid), *args, **kwargs), problem, grid)
+        except Stopped as error:
+            raise Stopped(units.stop(error.stop)) from None
 
     return wraps(solver)(solve)
 

@@ -7,7 +7,6 @@ with dτ = K(t, right) dt the solution in the window is that of the half line th
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import wraps
@@ -15,7 +14,6 @@ from typing import Any, ParamSpec
 
 import numpy as np
 
-from hjprofile.errors import RunError
 from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid
@@ -23,7 +21,7 @@ from hjprofile.problem.line import moved, tail
 from hjprofile.problem.profiles import TAIL
 from hjprofile.problem.ranges import instance
 from hjprofile.solvers.run import Array, Run
-from hjprofile.solvers.units_of_the_law import COORDINATE
+from hjprofile.solvers.stop import Place, Reason, Stop, Stopped, Time
 
 P = ParamSpec("P")
 TOLERANCE = 1e-13  # of the change of time, relative
@@ -49,7 +47,7 @@ class Window:
         self.last, self._solution = self._follow_tail(self.I - float(W[0]))
         kept = problem.times[problem.times <= self.last]
         if not kept.size:
-            raise RunError(f"before the first saved time, t = {problem.times[0]:.6g}, {self._advice}")
+            raise Stopped(self._left("before the first saved time, t = {t:.6g}, ", problem.times[0]))
         inner = self.time(np.append(kept, self.last))
         self.kept = dict(zip(inner.tolist(), kept.tolist(), strict=False))
         self.problem = replace(
@@ -100,18 +98,18 @@ class Window:
         """K(t, right) = dτ/dt."""
         return self.law.R(self.slope(t)) / self.R0
 
-    @property
-    def _advice(self) -> str:
-        return f"something left the window at x = {self.grid.right:g}; set right to more"
+    def _left(self, words: str, t: float) -> Stop:
+        """The reason to stop when something has left the window."""
+        return Stop(
+            Reason.LEFT_THE_WINDOW,
+            words + "something left the window at x = {x:g}",
+            "set right to more",
+            {"t": Time(t), "x": Place(self.grid.right)},
+        )
 
-    def sentence(self, text: str) -> str:
-        """With the times and places of the half line made those of the whole line."""
-
-        def there(match: re.Match) -> str:
-            name, value = match[1], float(match[2])
-            return f"{name} = {self.back(value) if name == 't' else value + self.grid.right:.6g}"
-
-        return COORDINATE.sub(there, text)
+    def place(self, x: float) -> float:
+        """x on the whole line of a place on the half line."""
+        return x + self.grid.right
 
     def run_on_line(self, run: Run) -> Run:
         """The run of `problem` on `half_grid` as one of the whole line, up to when something leaves the window."""
@@ -124,12 +122,13 @@ class Window:
             wrong += SMEAR * self.grid.dx * self.slope(time)
         left = np.append(time[np.abs(W - expected) > wrong], exits)
         good = time < left.min() if left.size else time == time
-        status, until = self.sentence(run.status), np.inf
+        stop, until = run.stop and run.stop.mapped(self.back, self.place), np.inf
         gone = not good.all() or exits or (run.done and self.last < self.whole.end)
         if gone:
-            status = f"stopped at t = {min([*exits, *time[~good], self.last]):.6g}: {self._advice}"
+            stop = self._left("stopped at t = {t:.6g}: ", min([*exits, *time[~good], self.last]))
         if not good.any():
-            raise RunError(status)
+            assert stop is not None
+            raise Stopped(stop)
         pace = dict(zip(run.time.tolist(), K.tolist(), strict=True))
         case = resolved_case(self.whole, self.grid, run.method)
         if gone:  # what the run summed up on its way goes on beyond what is kept
@@ -145,7 +144,7 @@ class Window:
             u=run.u[good] + right,
             q=run.q[good],
             K=run.K[good] * K[good, None],
-            status=status,
+            stop=stop,
             kinks=[
                 k._replace(
                     time=self.back(k.time), x=k.x + right, speed=k.speed * pace[k.time],
@@ -179,8 +178,8 @@ def also_on_the_whole_line(solver: Callable[P, Run]) -> Callable[P, Run]:
         window = Window(problem, problem.grid() if grid is None else grid)
         try:
             run = run_half(window.problem, window.half_grid, *args, **kwargs)
-        except RunError as error:
-            raise RunError(window.sentence(str(error))) from None
+        except Stopped as error:
+            raise error.mapped(window.back, window.place) from None
         return _with_caution(window.run_on_line(run), problem)
 
     return wraps(solver)(solve)  # type: ignore[return-value]

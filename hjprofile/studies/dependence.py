@@ -29,7 +29,7 @@ from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.ranges import instance
 from hjprofile.solvers.grids.hamilton_jacobi import scheme
-from hjprofile.solvers.grids.march import MOST_STEPS
+from hjprofile.solvers.grids.scheme import MOST_STEPS
 from hjprofile.solvers.methods import solve_hj
 from hjprofile.solvers.run import Array, Breakdown, Halt, Run
 from hjprofile.studies.accuracy import observed_order

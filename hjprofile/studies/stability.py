@@ -22,7 +22,7 @@ from hjprofile.solvers.grids import hamilton_jacobi as hj
 from hjprofile.solvers.grids.bounds_monitor import HIGHER_ORDER, LOCAL, MONOTONE, TELESCOPING, BoundsMonitor, Promises
 from hjprofile.solvers.grids.grid_law import GridLaw, grid_law
 from hjprofile.solvers.grids.high_order import ssp_rk2
-from hjprofile.solvers.grids.march import Scheme
+from hjprofile.solvers.grids.scheme import Scheme
 from hjprofile.solvers.run import Array, Breakdown, State
 
 CELLS = 400

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 import hjprofile as hj
 from hjprofile.output.plots.study_pictures import stability_picture
 from hjprofile.solvers.grids import hamilton_jacobi as hj_form
-from hjprofile.solvers.grids.march import Breakdown
+from hjprofile.solvers.run import Breakdown
 from hjprofile.studies import stability as study
 
 DOCS = Path(__file__).parents[2] / "docs"

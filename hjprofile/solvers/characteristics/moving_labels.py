@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hjprofile.errors import RunError
 from hjprofile.problem import Problem
 from hjprofile.solvers.characteristics import label_events as events
 from hjprofile.solvers.characteristics.kernels import label_motion as kernels
@@ -18,12 +17,12 @@ from hjprofile.solvers.characteristics.panels import POINTS, RULE, TAIL, Panels,
 from hjprofile.solvers.kernels.dormand_prince import STAGES, state_within, tableau
 from hjprofile.solvers.kernels.law import LawTable, law_q_f
 from hjprofile.solvers.run import Array, Event, KinkRecord
+from hjprofile.solvers.stop import Place, Reason, Stop, Stopped
 
 TRY, LABEL = 5e-4, 1.2e-6  # seconds of a step and of a label in it, where they were measured
 CORNER = 1e-3  # part of a panel within which a birth near a corner is one at it; a sliver would halve every step
 FLOOR = 1e-13  # least step, as a part of the end
 LEAST = 1e-15  # error of a step, below which it is rounding
-TOO_LONG = "it would take too long"
 MOMENT, BEYOND, LOOK = 1e-11, 10.0, 100.0  # of events: in ends, in tolerances, and in thresholds of a birth
 MOST_PANELS, MOST_EVENTS = 4000, 200  # events at one moment; each takes a kink, a panel or a label away
 FARTHEST_LOOK = 1e-4  # ... and at most, as a part of the end
@@ -33,8 +32,8 @@ MUCH_BETTER = 1 / 30  # error of a step whose interpolant is good enough for an 
 AT_EVENT = 1e-14  # what is left of an event's sign after a step to it, as a part of its change
 
 
-class Lost(RunError):
-    """The labels of a shock or an admissible state are lost; the message says where."""
+class Lost(Stopped):
+    """The labels of a shock or an admissible state are lost, or patience is."""
 
 
 @dataclass
@@ -89,7 +88,7 @@ class MovingLabels:
             self._step(target)
             idle = idle + 1 if self.now.t == before else 0
             if idle > MOST_EVENTS:
-                raise Lost(f"more than {MOST_EVENTS} events fall on one moment")
+                raise Lost(Stop(Reason.LABELS_LOST, f"more than {MOST_EVENTS} events fall on one moment"))
         if self.flat:
             self.now.t = target
 
@@ -98,7 +97,7 @@ class MovingLabels:
         now, panels = self.now, self.now.panels
         self.patience -= TRY + LABEL * panels.r.size
         if self.patience < 0.0:
-            raise Lost(TOO_LONG)
+            raise Lost(Stop(Reason.TOO_LONG, "it would take too long"))
         shocks, new = panels.labels(), np.empty(2 * panels.r.size + 2)
         error, self.found = kernels.step(
             panels.y, now.clock(now.t), h, now.origin, tableau(), self.medium, shocks, self.flux, self.k, new
@@ -124,7 +123,7 @@ class MovingLabels:
                 self.now = now = replace(now, panels=now.panels.split(dict.fromkeys(rough, 0.0)))
                 self._room()
                 if len(now.panels.r) > MOST_PANELS:
-                    raise Lost(f"the profile needs more than {MOST_PANELS} panels")
+                    raise Lost(Stop(Reason.NOT_RESOLVED, f"the profile needs more than {MOST_PANELS} panels"))
                 continue
             before, reached = h, h == left
             crossed = events.crossed(events.signs(panels), self.threshold)
@@ -151,12 +150,13 @@ class MovingLabels:
         if not crossed:  # a step that only a saved time cut short says nothing against longer ones
             self.h = max(self.h, before * (min(2.0, 0.9 * error**-0.125) if error > 0.0 else 2.0))
 
-    def _why(self) -> str:
+    def _why(self) -> Stop:
         if self.found > 0:
-            return f"the labels of kink {self.now.panels.number[self.found - 1]} cannot be determined"
+            kink = self.now.panels.number[self.found - 1]
+            return Stop(Reason.LABELS_LOST, f"the labels of kink {kink} cannot be determined")
         if self.found < 0:
-            return "the labels fold where no kink is known"
-        return "steps become too small"
+            return Stop(Reason.LABELS_LOST, "the labels fold where no kink is known")
+        return Stop(Reason.TOO_SMALL_STEPS, "steps become too small")
 
     def _rough(self, panels: Panels) -> list[int]:
         """Panels whose last Chebyshev coefficients are no rounding."""
@@ -233,7 +233,7 @@ class MovingLabels:
         else:
             panels = events.passed(panels, kind, i)
             if np.any(np.diff(panels.mesh.first)[1:] == 0):  # only the first segment may be empty: q = 0
-                raise Lost("the labels between two kinks run out")
+                raise Lost(Stop(Reason.LABELS_LOST, "the labels between two kinks run out"))
         self.now = replace(self.now, panels=panels)
 
     def _birth(self, p: int) -> None:
@@ -271,7 +271,8 @@ class MovingLabels:
         else:
             a, bend, far = -derivative(rate, cut, 1, 0), derivative(panels.X, cut, 3, 0) / 6.0, 1.0
         if not (a > 0.0 and bend > 0.0 and far > 0.0):
-            raise Lost(f"a kink would be born at x = {x:.6g} in no ordinary way")
+            born = "a kink would be born at x = {x:.6g} in no ordinary way"
+            raise Lost(Stop(Reason.LABELS_LOST, born, values={"x": Place(x)}))
         if at_left or at_right:  # X = -a τ δ + bend δ²/2 on the side that folds, X_ξ = far on the other (theory, §5)
             near = [1.5 * a / bend, 1.0], [0.375 * a * a / (bend * far), 2.0]
             sides = near[::-1] if at_left else near

@@ -12,12 +12,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from hjprofile.errors import RunError
 from hjprofile.problem import Problem
 from hjprofile.solvers.characteristics.kernels.announced_events import living
 from hjprofile.solvers.characteristics.kernels.labels import Mesh, Rule, Shocks, after_start, before_end
 from hjprofile.solvers.data_resolution import Sample, fine_sample
 from hjprofile.solvers.run import Array
+from hjprofile.solvers.stop import Place, Reason, Stop, Stopped
 
 POINTS = 16
 FAN = 0.5  # most that a panel of a fan spans in ln R
@@ -316,9 +316,13 @@ def _smooth(problem: Problem, x: float, end: float, ends: tuple, sample: Sample,
         narrow = ~good & ((half[:, 0] < NARROWEST) | (len(pending) > MOST_PENDING))
         if narrow.any():
             worst = int(np.argmax(np.where(narrow, rough, 0.0)))
-            raise RunError(
-                f"the profile is not smooth near x = {a[worst, 0]:.6g}, and says of no corner there: characteristics "
-                "cannot follow it"
+            raise Stopped(
+                Stop(
+                    Reason.NOT_SMOOTH,
+                    "the profile is not smooth near x = {x:.6g}, and says of no corner there: characteristics cannot "
+                    "follow it",
+                    values={"x": Place(a[worst, 0])},
+                )
             )
         wide, middle = pending[~good], 0.5 * pending[~good].sum(axis=1)
         pending = np.concatenate([np.stack([wide[:, 0], middle], axis=1), np.stack([middle, wide[:, 1]], axis=1)])

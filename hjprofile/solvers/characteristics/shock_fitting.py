@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hjprofile.errors import InputError, RunError
+from hjprofile.errors import InputError
 from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid
@@ -25,6 +25,7 @@ from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels.law import LawTable, law_q_f
 from hjprofile.solvers.run import Array, KinkRecord, Run, in_order
 from hjprofile.solvers.snapshot_bounds import BOUNDS, SnapshotBounds
+from hjprofile.solvers.stop import Stop, Stopped, Time
 from hjprofile.solvers.units_of_the_law import Units, in_units_of_the_law
 from hjprofile.solvers.whole_line import also_on_the_whole_line
 
@@ -36,6 +37,7 @@ COARSER, COARSE_STEPS = 10.0, 1e-6  # ratio of the tolerances of the two runs fo
 READ = 1.5e-3  # seconds of a saved time, where it was measured
 BUDGET = 30.0  # allowance of a budget in tolerances, of the size of its terms; 2000 random runs kept it
 FEWEST_STEPS = 20  # for an estimate of rounding
+BY_FRONTS = "use the method fronts"
 ROUNDING = 1e-14  # of W of order 1, after some hundred steps; measured 7e-14 at most on the rational closed forms
 
 
@@ -74,14 +76,16 @@ def _two_runs(
     """Return a run with a tolerance of its steps, and its error by comparison with a coarser one."""
     try:
         panels = cut_into_panels(problem, grid.left, DATA * steps)
-    except RunError as error:
-        raise RunError(f"stopped at t = 0: {error}; use the method fronts") from None
+    except Stopped as error:
+        why = {"t": Time(0.0), "why": error.stop}
+        raise Stopped(Stop(error.stop.reason, "stopped at t = {t:.6g}: {why}", BY_FRONTS, why)) from None
     table = _table(problem, panels)
     first = MovingLabels(problem, panels, table, min(COARSER * steps, COARSE_STEPS), patience)
     coarse, W_coarse = _march(first, problem, grid)
     fine, W = _march(MovingLabels(problem, panels, table, steps, first.patience), problem, grid, progress)
     if not len(W):
-        raise RunError(fine.status)
+        assert fine.stop is not None
+        raise Stopped(fine.stop)
     apart = float(np.abs(W_coarse[: len(W)] - W).max()) if len(W) <= len(W_coarse) else COARSER * steps
     # of r = R(q) of order 1, in each step; the budget is that of a length times u
     rounding = 5.0 * np.finfo(float).eps * (FEWEST_STEPS + fine.steps) * (1.0 + float(np.abs(W).max()))
@@ -108,13 +112,18 @@ def _march(
     # the least r lies a little below the least found on so many points, by less than that below the least on few
     few, many = float(start.r.min()), float((start.r @ interpolation(FINE.s).T).min())
     watch = SnapshotBounds(grid, mass, volume, allowed, law_q_f(max(2.0 * many - few, 0.5 * many), solver.table)[0])
-    kept, rows, kinks, seconds, status = problem.times, [], list[KinkRecord](), 0.0, "done"
+    kept, rows, kinks, seconds, stop = problem.times, [], list[KinkRecord](), 0.0, None
     for target in np.unique(np.append(kept, problem.end)).tolist():
         started = time.perf_counter()
         try:
             solver.advance(target)
         except Lost as lost:
-            status = f"stopped at t = {solver.now.t:.6g}, before t = {target:.6g}: {lost}; use the method fronts"
+            stop = Stop(
+                lost.stop.reason,
+                "stopped at t = {t:.6g}, before t = {before:.6g}: {why}",
+                BY_FRONTS,
+                {"t": Time(solver.now.t), "before": Time(target), "why": lost.stop},
+            )
             break
         finally:
             seconds += time.perf_counter() - started
@@ -139,7 +148,7 @@ def _march(
         u=grid.nodes + W + float(profile.W(grid.nodes[:1], problem.law)[0]),
         q=np.diff(W, axis=1) / grid.dx,
         K=K,
-        status=status,
+        stop=stop,
         steps=solver.steps,
         wall_seconds=seconds,
         kinks=kinks,

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hjprofile.errors import RunError
 from hjprofile.problem import Problem
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.profiles import Kinks
@@ -15,6 +14,7 @@ from hjprofile.solvers.data_resolution import Sample, apart, divided, fine_sampl
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels.law import LawTable, start_pieces
 from hjprofile.solvers.run import Array
+from hjprofile.solvers.stop import ROBUST_METHOD, Reason, Stop, Stopped
 from hjprofile.solvers.vertical_steps.kernels.steps import StepLaw
 from hjprofile.solvers.vertical_steps.kernels.steps import start_pieces as start_steep_pieces
 from hjprofile.solvers.vertical_steps.step_fronts import step_law
@@ -280,9 +280,14 @@ def _folded(problem: Problem, cuts: Array) -> Array:
     law = problem.law
     folds = np.diff(cuts) * np.abs(law.f(np.diff(problem.profile.W(cuts, law)) / np.diff(cuts)))
     if not folds.sum() < FOLDS:
-        raise RunError(
-            f"front tracking cannot start: ln K changes by {folds.sum():.3g} along the slope, as q is too near -1 "
-            f"over too long a way, and {FOLDS:g} is the most it can follow; use the method godunov"
+        raise Stopped(
+            Stop(
+                Reason.NOT_RESOLVED,
+                "front tracking cannot start: ln K changes by {folds:.3g} along the slope, as q is too near -1 over "
+                "too long a way, and {most:g} is the most it can follow",
+                f"use the method {ROBUST_METHOD}",
+                {"folds": folds.sum(), "most": FOLDS},
+            )
         )
     return divided(cuts, np.maximum(np.ceil(2.0 * folds).astype(int), 1))[:-1]
 

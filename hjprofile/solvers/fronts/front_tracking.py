@@ -28,6 +28,7 @@ from hjprofile.solvers.kernels.dormand_prince import tableau
 from hjprofile.solvers.kernels.law import LawTable, law_q_f
 from hjprofile.solvers.run import Array, Run, VerticalStep, in_order
 from hjprofile.solvers.snapshot_bounds import BOUNDS, SnapshotBounds
+from hjprofile.solvers.stop import ROBUST_METHOD, Place, Reason, Stop, Stopped, Time
 from hjprofile.solvers.units_of_the_law import in_units_of_the_law
 from hjprofile.solvers.vertical_steps.kernels.steps import StepLaw
 from hjprofile.solvers.vertical_steps.step_fronts import KINK, StepTracker, Tracker
@@ -208,7 +209,7 @@ def track(
         allowed |= dict.fromkeys(("mass_budget", "volume_budget"), (read, "rounding"))
     watch = SnapshotBounds(grid, data.top, tracker.volume(), allowed, tracker.least())
     tracker.advance(0.0)  # compiles what is to be compiled
-    seconds, status = 0.0, "done"
+    seconds, stop = 0.0, None
     seen = witness.times if witness else np.empty(0)
     for target in np.unique(np.concatenate([kept, seen, [problem.end]])):
         started = time.perf_counter()
@@ -219,10 +220,12 @@ def track(
         if broken is None and not arrived:
             broken = int(np.argmax(K))
         if broken is not None:
-            status = (
-                f"stopped before t = {target:.6g}: front tracking loses the slope near x = {grid.nodes[broken]:.6g}, "
-                "where q is too near -1 for so few fronts, or K too large to separate events; use the method auto "
-                "with a tolerance, or the method godunov"
+            stop = Stop(
+                Reason.NOT_RESOLVED,
+                "stopped before t = {t:.6g}: front tracking loses the slope near x = {x:.6g}, where q is too near -1 "
+                "for so few fronts, or K too large to separate events",
+                f"use the method auto with a tolerance, or the method {ROBUST_METHOD}",
+                {"t": Time(target), "x": Place(grid.nodes[broken])},
             )
             break
         watch.observe(float(target), W, tracker.volume(), *tracker.totals[:2])
@@ -236,7 +239,8 @@ def track(
         if progress:
             progress(float(target) / problem.end if problem.end else 1.0)
     if not saved:
-        raise RunError(status)
+        assert stop is not None
+        raise Stopped(stop)
     W, K = (np.array(rows) for rows in zip(*saved, strict=True))
     return Run(
         title=problem.title,
@@ -248,7 +252,7 @@ def track(
         u=grid.nodes + W + height,
         q=np.diff(W, axis=1) / grid.dx,
         K=K,
-        status=status,
+        stop=stop,
         steps=int(tracker.totals[2]),
         wall_seconds=seconds,
         kinks=kinks,

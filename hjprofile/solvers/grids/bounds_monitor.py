@@ -234,7 +234,7 @@ class BoundsMonitor:
         for name, verdict in self.bounds.items():
             stopping = name in STOPPING and verdict.allowance == EXACT
             if not verdict.holds and verdict.time == state.t and (self.strict or stopping):
-                raise Halt(verdict.sentence(name))
+                raise Halt(verdict.broken(name))
 
     @property
     def bounds(self) -> dict[str, Verdict]:

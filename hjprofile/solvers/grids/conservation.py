@@ -20,7 +20,7 @@ from hjprofile.solvers.grids.grid_law import GridLaw, grid_law
 from hjprofile.solvers.grids.high_order import HighOrder
 from hjprofile.solvers.grids.kernels import grid_loops as kernels
 from hjprofile.solvers.grids.kernels import wavefront
-from hjprofile.solvers.grids.march import BESIDE, Restorable
+from hjprofile.solvers.grids.scheme import BESIDE, Restorable
 from hjprofile.solvers.layer.kernels.layer_pass import layer_pass
 from hjprofile.solvers.run import Array, Breakdown
 from hjprofile.solvers.vertical_steps.kernels import telescoping

@@ -14,6 +14,7 @@ from hjprofile.solvers.grids.kernels import grid_loops as kernels
 from hjprofile.solvers.grids.kernels.sweep_law import LANES
 from hjprofile.solvers.grids.kernels.wavefront import Given, Nonlocal
 from hjprofile.solvers.run import Array, Breakdown, Halt
+from hjprofile.solvers.stop import Reason, Stop
 
 NOTHING = np.empty(0)
 EVERYWHERE = slice(None)
@@ -58,7 +59,7 @@ class Factor:
         try:
             return self.coefficient.values(self.t + np.atleast_1d(after)[:, None], self.grid.nodes[nodes])
         except RunError as error:
-            raise Halt(str(error)) from None
+            raise Halt(Stop(Reason.BAD_COEFFICIENT, "{said}", values={"said": error})) from None
 
     def window(self, law: GridLaw, after: Array, first: int, last: int) -> tuple[Nonlocal | Given, float]:
         """The factor at the nodes first..last for compiled loops, and what K f' comes to where nothing happens.

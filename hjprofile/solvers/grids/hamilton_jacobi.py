@@ -18,7 +18,7 @@ from hjprofile.solvers.grids.grid_law import GridLaw, grid_law
 from hjprofile.solvers.grids.high_order import ORDERS, HighOrder
 from hjprofile.solvers.grids.kernels import grid_loops as kernels
 from hjprofile.solvers.grids.kernels import wavefront
-from hjprofile.solvers.grids.march import BESIDE
+from hjprofile.solvers.grids.scheme import BESIDE
 from hjprofile.solvers.run import Array
 
 Flux = wavefront.LocalLaxFriedrichs | wavefront.LaxFriedrichs | wavefront.Godunov | wavefront.Telescoping

@@ -16,7 +16,7 @@ from hjprofile.problem.grid import Grid
 from hjprofile.solvers.grids.factor import Factor
 from hjprofile.solvers.grids.grid_law import GridLaw
 from hjprofile.solvers.grids.kernels import grid_loops as kernels
-from hjprofile.solvers.grids.march import BESIDE, Restorable
+from hjprofile.solvers.grids.scheme import BESIDE, Restorable
 from hjprofile.solvers.run import Array, Breakdown
 
 Rate = Callable[[Array], Array]

@@ -12,99 +12,29 @@ from collections.abc import Callable, Mapping
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from hjprofile.errors import RunError
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
-from hjprofile.solvers.grids.factor import NOTHING, Factor
-from hjprofile.solvers.grids.grid_law import GridLaw
+from hjprofile.solvers.grids.factor import NOTHING
+from hjprofile.solvers.grids.recording import Recorder, Recording, recall, remember
+from hjprofile.solvers.grids.scheme import MOST_STEPS, Scheme
 from hjprofile.solvers.run import Array, Breakdown, Halt, Keeper, Monitor, State
+from hjprofile.solvers.stop import ROBUST_METHOD, Place, Reason, Stop, Stopped, Time
 
 STEP_FLOOR = 1e-9  # of the run's end: more steps than this allows would take days, ...
 PATIENCE = 20_000  # ... but the first ones can be much shorter than those after them: K falls, and hollows fill
 SMALL_CFL = 0.3  # below it short time steps are the user's choice
-MOST_STEPS = 64  # at a time; fewer on coarse grids, so that between two states that monitors see ...
-MOST_WAY = 1 / 32  # ... nothing moves further than this part of the grid
+MOST_WAY = 1 / 32  # of the grid: between two states that monitors see nothing moves further, ...
 CLOSE_WAY = 3e-3  # ... of the grid and no further, where a monitor wants to know when something happened
 MARGIN = 0.01  # by which the speed may rise while steps are taken, beyond half as much again as it rose last
 NOBODY: Mapping[str, Any] = MappingProxyType({})
-BESIDE = 64  # critical cells that monitors see beside what is not critical, as many as their stencils can ask for
-
-
-class Scheme(Protocol):
-    """A discretisation with its own time steps. `q`, `K` belong to the present state after `evaluate`.
-
-    `memory` names the attributes that make up its state, for a checkpoint.
-    """
-
-    @property
-    def W(self) -> Array: ...
-
-    law: GridLaw
-    factor: Factor
-    q: Array
-    K: Array
-    growth: float
-    outflow: float
-    memory: tuple[str, ...]
-    cfl_limit: float  # Δt max(K f')/Δx at which the scheme is still monotone (limited: total variation diminishing)
-
-    def evaluate(self) -> float:
-        """Brings q and K up to the present state; returns max K f'. Raises Breakdown."""
-        ...
-
-    def means(self) -> tuple[int, Array]:
-        """q at present on the cells where it need not be 0, and the first of these cells."""
-        ...
-
-    def advance(self, dt: float, steps: int, bound: float) -> float:
-        """At most MOST_STEPS steps; returns the largest K f' met, which should not exceed `bound`.
-
-        Where the state breaks down that is not finite, or Breakdown is raised.
-        """
-        ...
-
-    def restore(self) -> None:
-        """Back to the state before the last `advance`."""
-        ...
-
-    def volume(self) -> float:
-        """∫(u - x) dx by the sum whose change the scheme's own budget states."""
-        ...
-
-
-class Restorable:
-    """A state that is kept and restored by what it names as its memory: what is kept must not be written into."""
-
-    memory: tuple[str, ...]
-
-    def keep(self) -> None:
-        """Keeps the present state."""
-        self.kept = {name: getattr(self, name) for name in self.memory}
-
-    def restore(self) -> None:
-        """Back to it."""
-        vars(self).update(self.kept)
 
 
 class _StepTooSmall(Exception):
     """The time step fell below STEP_FLOOR."""
-
-
-class Recording(NamedTuple):
-    """What was saved on the way, with an account of the steps."""
-
-    times: Array
-    W: Array
-    q: Array
-    K: Array
-    status: str
-    steps: int
-    step_range: tuple[float, float]
-    wall_seconds: float
 
 
 @dataclass
@@ -127,51 +57,6 @@ class _Pace:
     )  # fmt: skip
 
 
-class _Recorder:
-    """Rows of t, W, q and K at the times that are kept."""
-
-    memory: tuple[str, ...] = ("kept",)
-
-    def __init__(self, times: int, grid: Grid):
-        self.columns = [
-            np.empty((times, *shape)) for shape in ((), (grid.cells + 1,), (grid.cells,), (grid.cells + 1,))
-        ]
-        self.rows = 0
-
-    def save(self, t: float, scheme: Scheme) -> None:
-        for i, value in enumerate((t, scheme.W, scheme.q, scheme.K)):
-            if self.rows == len(self.columns[i]):  # the last good state of a run that stopped after all kept times
-                self.columns[i] = np.concatenate([self.columns[i], [value]])
-            self.columns[i][self.rows] = value
-        self.rows += 1
-
-    @property
-    def kept(self) -> Array:
-        return np.hstack([column[: self.rows].reshape(self.rows, column[0].size) for column in self.columns])
-
-    @kept.setter
-    def kept(self, rows: Array) -> None:
-        self.rows = len(rows)
-        widths = np.cumsum([1] + [column.shape[1] for column in self.columns[1:]])
-        for column, part in zip(self.columns, np.split(rows, widths[:-1], axis=1), strict=True):
-            column[: self.rows] = part.reshape(column[: self.rows].shape)
-
-
-def _remember(parts: Mapping[str, Any]) -> dict[str, Array]:
-    """What the parts of a run name as their memory, by "part.name"."""
-    return {f"{part}.{name}": np.asarray(getattr(what, name)) for part, what in parts.items() for name in what.memory}
-
-
-def _recall(parts: Mapping[str, Any], stored: Mapping[str, Array]) -> None:
-    for part, what in parts.items():
-        for name in what.memory:
-            value, present = stored[f"{part}.{name}"], getattr(what, name)
-            if isinstance(present, np.ndarray):
-                setattr(what, name, np.array(value))
-            else:
-                setattr(what, name, tuple(value.tolist()) if isinstance(present, tuple) else value.item())
-
-
 def _targets(problem: Problem, refresh: float | None) -> tuple[Array, frozenset[float]]:
     """Times after 0 that are hit exactly: those that are kept, the end, and nΔt, when the factor is taken anew.
 
@@ -188,6 +73,209 @@ def _targets(problem: Problem, refresh: float | None) -> tuple[Array, frozenset[
     return np.union1d(targets, due), frozenset(due.tolist())
 
 
+class _Watchers:
+    """The monitors of a run, each of which looks when it wants to, and the progress that is shown."""
+
+    def __init__(self, monitors: Mapping[str, Monitor], progress: Callable[[float], None] | None):
+        self.monitors, self.progress = monitors, progress
+        self.looked = dict.fromkeys(monitors, -1.0)  # when each did so last
+
+    def show(self, state: State, fraction: float, every: bool) -> None:
+        """To those that want to see it, or to `every` monitor."""
+        for name, monitor in self.monitors.items():
+            if every or monitor.wants(state):
+                self.looked[name] = state.t
+                monitor.observe(state)
+        if self.progress:
+            self.progress(fraction)
+
+    def show_last(self, state: State) -> None:
+        """To those that have not seen it: what they find of the end is then of the last good state, too."""
+        for name, monitor in self.monitors.items():
+            if self.looked[name] < state.t:
+                monitor.observe(state)
+
+
+class _Batch(NamedTuple):
+    """Steps of one length that are taken at once."""
+
+    dt: float
+    steps: int
+    bound: float  # of K f'
+    target: float  # the next time that is hit exactly, and ...
+    arrives: bool  # ... whether these steps reach it
+
+
+class March:
+    """One run of a scheme: choose a step, advance a batch, check it, roll back or accept, notify, store."""
+
+    def __init__(self, scheme: Scheme, problem: Problem, grid: Grid, cfl: float, watchers: _Watchers):
+        self.scheme, self.problem, self.grid, self.cfl, self.watchers = scheme, problem, grid, cfl, watchers
+        self.factor = scheme.factor
+        self.recorder, self.pace = Recorder(problem.kept, grid), _Pace()
+        self.targets, self.renewals = _targets(problem, self.factor.refresh)
+        self.close_leap = max(6, int(grid.cells * CLOSE_WAY))
+        self.longest_leap = min(MOST_STEPS, max(1, int(grid.cells * MOST_WAY)), self.factor.steps)
+        self.batch = _Batch(0.0, 0, 0.0, 0.0, False)  # the last one
+        self.held = self.factor.held  # the factor before it
+        self.renewed = 0.0  # largest K f' with the factor that was taken anew at its end
+
+    @property
+    def parts(self) -> dict[str, Any]:
+        """What a checkpoint keeps the memory of."""
+        own = {"pace": self.pace, "recorder": self.recorder, "scheme": self.scheme, "factor": self.factor}
+        return own | dict(self.watchers.monitors)
+
+    def start(self) -> None:
+        """Evaluates the data. Raises Stopped if the run cannot start."""
+        try:
+            self.pace.speed = self._renew() if self.factor.refresh else self.scheme.evaluate()
+        except Breakdown as broken:
+            raise Stopped(_no_start(broken, self.grid)) from None
+        self.scheme.advance(0.0, 1, self.pace.speed)  # compiles what is to be compiled
+        self.pace.most = self.longest_leap
+
+    def first_state(self) -> None:
+        """Shows and stores it."""
+        self._show(self._state(0.0, 0, self.pace.speed), every=True)
+        if self.problem.times[0] == 0.0:
+            self._store()
+
+    def recall(self, stored: Mapping[str, Array]) -> None:
+        """Goes on from a checkpoint."""
+        recall(self.parts, stored)
+        self.factor.t = self.pace.t
+        self.scheme.evaluate()
+
+    def run(self, happened: Callable[[State], bool], keeper: Keeper | None) -> Stop | None:
+        """To the end, or to where it stops, with the reason."""
+        pace = self.pace
+        try:
+            for target in self.targets[self.targets > pace.t].tolist():
+                while pace.t < target:
+                    self.batch = self._choose(target)
+                    state = self._advance(happened)
+                    if state is not None:
+                        self._accept(state)
+                        if keeper and keeper.due():
+                            keeper.keep(pace.t, remember(self.parts))
+        except Breakdown as broken:
+            self._back()
+            pace.speed = self.scheme.evaluate()
+            return _breakdown(broken, self)
+        except Halt as halt:
+            self._back()
+            self.scheme.evaluate()
+            return Stop(halt.stop.reason, "stopped at t = {t:.6g}: {why}", values={"t": Time(pace.t), "why": halt.stop})
+        except _StepTooSmall:
+            self.scheme.evaluate()
+            return _too_small_a_step(self)
+        return None
+
+    def last_good_state(self) -> None:
+        """Stores and shows the state at which the run stopped."""
+        pace, recorder = self.pace, self.recorder
+        if not recorder.rows or recorder.columns[0][recorder.rows - 1] < pace.t:
+            recorder.save(pace.t, self.scheme)
+        self.batch = self.batch._replace(dt=0.0)  # no step led from this state to another
+        with suppress(Halt, Breakdown):
+            self.watchers.show_last(self._state(pace.t, pace.steps, pace.speed))
+
+    def _choose(self, target: float) -> _Batch:
+        """As many steps as may be taken at once, of a length for a speed a little above the last one."""
+        pace, problem = self.pace, self.problem
+        bound = max(pace.speed * (1.0 + MARGIN + 1.5 * pace.rise), pace.outgrown * (1.0 + MARGIN))
+        dt = self.cfl * self.scheme.cfl_limit * self.grid.dx / bound
+        remaining = target - pace.t
+        needed = max(1, math.ceil(remaining / dt * (1.0 - 1e-12)))
+        if needed <= pace.most:
+            dt = remaining / needed
+        steps = min(needed, pace.most, self.close_leap if pace.t < pace.close_until else MOST_STEPS)
+        batch = _Batch(dt, steps, bound, target, steps == needed)
+        if needed > pace.most and dt < STEP_FLOOR * problem.end and (pace.steps > PATIENCE or self.cfl > 1.0):
+            self.batch = batch
+            raise _StepTooSmall
+        return batch
+
+    def _advance(self, happened: Callable[[State], bool]) -> State | None:
+        """The state after the batch; None if that has been rolled back, to be chosen again. Raises Breakdown, Halt."""
+        batch, pace, factor = self.batch, self.pace, self.factor
+        started, self.held = time.perf_counter(), factor.held
+        try:
+            met = self.scheme.advance(batch.dt, batch.steps, batch.bound)
+            pace.seconds += time.perf_counter() - started
+            if batch.bound < met < np.inf and (self.cfl <= 1.0 or batch.steps > 1):
+                self._back()
+                if self.cfl <= 1.0:
+                    pace.outgrown = met
+                else:  # no bound is promised; each step by the speed before it, to show what comes of it
+                    pace.most = max(1, batch.steps // 4)
+                return None
+            factor.t = batch.target if batch.arrives else pace.t + batch.steps * batch.dt
+            if batch.arrives and batch.target in self.renewals:
+                self.renewed = self._renew()
+            state = self._state(factor.t, pace.steps + batch.steps, met)
+            if not met < np.inf:
+                raise Breakdown(state.q, np.full(1, np.inf), state.first)
+        except Breakdown:
+            if batch.steps == 1:
+                raise
+            self._back()  # and once more, to find out where
+            pace.most = max(1, batch.steps // 4)
+            return None
+        if batch.steps > self.close_leap and happened(state):
+            pace.close_until = state.t
+            self._back()
+            return None
+        return state
+
+    def _accept(self, state: State) -> None:
+        """Notifies the monitors, and goes on from this state. Raises Halt."""
+        batch, pace = self.batch, self.pace
+        self._show(state, every=batch.arrives and batch.target == self.targets[-1])
+        pace.rise = min(max(state.speed / pace.speed - 1.0, 0.0), 1.0)
+        pace.t, pace.steps, pace.speed, pace.outgrown = state.t, state.steps, state.speed, 0.0
+        pace.most = min(2 * pace.most, self.longest_leap)
+        pace.shortest, pace.longest = min(pace.shortest, batch.dt), max(pace.longest, batch.dt)
+        if pace.t == batch.target:
+            if batch.target in self.renewals:
+                pace.speed = max(pace.speed, self.renewed)
+            if batch.target in self.problem.times:
+                self._store()
+
+    def _back(self) -> None:
+        """To the state before the last batch."""
+        self.scheme.restore()
+        self.factor.t, self.factor.held = self.pace.t, self.held
+
+    def _renew(self) -> float:
+        """Takes the factor anew; returns the largest K f'."""
+        self.factor.held = NOTHING
+        speed = self.scheme.evaluate()
+        self.factor.held = self.scheme.K.copy()
+        return speed
+
+    def _state(self, t: float, steps: int, speed: float) -> State:
+        """The present state as monitors see it. Raises Breakdown."""
+        scheme = self.scheme
+        first, q = scheme.means()
+        if not np.min(q) > -1.0:  # nor NaN
+            raise Breakdown(q, scheme.K, first)
+        scheme.law = scheme.law.covering(q)
+        K = self.factor.given(nodes=slice(first, first + q.size + 1))
+        return State(
+            t, steps, first, q, scheme.law.kernel, speed, self.batch.bound, self.batch.dt, scheme.growth,
+            scheme.outflow, scheme.volume, None if K is None else K[0],
+        )  # fmt: skip
+
+    def _show(self, state: State, every: bool) -> None:
+        self.watchers.show(state, self.pace.t / self.problem.end if self.problem.end else 1.0, every)
+
+    def _store(self) -> None:
+        self.pace.speed = max(self.pace.speed, self.scheme.evaluate())
+        self.recorder.save(self.pace.t, self.scheme)
+
+
 def march(
     scheme: Scheme, problem: Problem, grid: Grid, cfl: float,
     monitors: Mapping[str, Monitor] = NOBODY, progress: Callable[[float], None] | None = None,
@@ -200,158 +288,51 @@ def march(
     A keeper keeps checkpoints, and the run goes on from the one it has of the same `identity`. Raises RunError if the
     run cannot start, or was asked to stop.
     """
-    kept = problem.times
-    recorder, pace = _Recorder(kept.size, grid), _Pace()
-    close_leap = max(6, int(grid.cells * CLOSE_WAY))
-    factor = scheme.factor
-    longest_leap = min(MOST_STEPS, max(1, int(grid.cells * MOST_WAY)), factor.steps)
-    parts: dict[str, Any] = {"pace": pace, "recorder": recorder, "scheme": scheme, "factor": factor, **monitors}
-    targets, due = _targets(problem, factor.refresh)
-    bound, dt, status, held = 0.0, 0.0, "done", factor.held
-    seen = dict.fromkeys(monitors, -1.0)  # when each monitor looked last
-
-    def present(t: float, steps: int, speed: float) -> State:
-        first, q = scheme.means()
-        if not np.min(q) > -1.0:  # nor NaN
-            raise Breakdown(q, scheme.K, first)
-        scheme.law = scheme.law.covering(q)
-        K = factor.given(nodes=slice(first, first + q.size + 1))
-        return State(
-            t, steps, first, q, scheme.law.kernel, speed, bound, dt, scheme.growth, scheme.outflow, scheme.volume,
-            None if K is None else K[0],
-        )  # fmt: skip
-
-    def renew() -> float:
-        """Takes the factor anew; returns the largest K f'."""
-        factor.held = NOTHING
-        speed = scheme.evaluate()
-        factor.held = scheme.K.copy()
-        return speed
-
-    def back() -> None:
-        """To the state before the last steps."""
-        scheme.restore()
-        factor.t, factor.held = pace.t, held
-
-    def watch(state: State, every: bool = False) -> None:
-        for name, monitor in monitors.items():
-            if every or monitor.wants(state):
-                seen[name] = state.t
-                monitor.observe(state)
-        if progress:
-            progress(pace.t / problem.end if problem.end else 1.0)
-
-    def save() -> None:
-        pace.speed = max(pace.speed, scheme.evaluate())
-        recorder.save(pace.t, scheme)
-
-    try:
-        pace.speed = renew() if factor.refresh else scheme.evaluate()
-    except Breakdown as broken:
-        x = grid.centres[broken.cell]
-        raise RunError(
-            f"the run cannot start: K f' is not a finite number near x = {x:.6g}, where q = {broken.q:.6g}; "
-            "the integral of f is too large (K spans more than 300 decades) or q is too near -1"
-        ) from None
-    scheme.advance(0.0, 1, pace.speed)  # compiles what is to be compiled
-    pace.most = longest_leap
+    one = March(scheme, problem, grid, cfl, _Watchers(monitors, progress))
+    one.start()
     with keeper or nullcontext():
         if keeper and (stored := keeper.recall(identity)):
-            _recall(parts, stored)
-            factor.t = pace.t
-            scheme.evaluate()
+            one.recall(stored)
         else:
-            watch(present(0.0, 0, pace.speed), every=True)
-            if kept[0] == 0.0:
-                save()
-        try:
-            for target in targets[targets > pace.t]:
-                while pace.t < target:
-                    bound = max(pace.speed * (1.0 + MARGIN + 1.5 * pace.rise), pace.outgrown * (1.0 + MARGIN))
-                    dt = cfl * scheme.cfl_limit * grid.dx / bound
-                    remaining = float(target) - pace.t
-                    needed = max(1, math.ceil(remaining / dt * (1.0 - 1e-12)))
-                    if needed <= pace.most:
-                        dt = remaining / needed
-                    elif dt < STEP_FLOOR * problem.end and (pace.steps > PATIENCE or cfl > 1.0):
-                        raise _StepTooSmall
-                    leap = min(needed, pace.most, close_leap if pace.t < pace.close_until else MOST_STEPS)
-                    started, held = time.perf_counter(), factor.held
-                    try:
-                        met = scheme.advance(dt, leap, bound)
-                        pace.seconds += time.perf_counter() - started
-                        if bound < met < np.inf and (cfl <= 1.0 or leap > 1):
-                            back()
-                            if cfl <= 1.0:
-                                pace.outgrown = met
-                            else:  # no bound is promised; each step by the speed before it, to show what comes of it
-                                pace.most = max(1, leap // 4)
-                            continue
-                        factor.t = float(target) if leap == needed else pace.t + leap * dt
-                        if leap == needed and target in due:
-                            renewed = renew()
-                        state = present(factor.t, pace.steps + leap, met)
-                        if not met < np.inf:
-                            raise Breakdown(state.q, np.full(1, np.inf), state.first)
-                    except Breakdown:
-                        if leap == 1:
-                            raise
-                        back()  # and once more, to find out where
-                        pace.most = max(1, leap // 4)
-                        continue
-                    if leap > close_leap and happened(state):
-                        pace.close_until = state.t
-                        back()
-                        continue
-                    watch(state, every=leap == needed and target == targets[-1])
-                    pace.rise = min(max(met / pace.speed - 1.0, 0.0), 1.0)
-                    pace.t, pace.steps, pace.speed, pace.outgrown = state.t, state.steps, met, 0.0
-                    pace.most = min(2 * pace.most, longest_leap)
-                    pace.shortest, pace.longest = min(pace.shortest, dt), max(pace.longest, dt)
-                    if pace.t == target and target in due:
-                        pace.speed = max(pace.speed, renewed)
-                    if pace.t == target and target in kept:
-                        save()
-                    if keeper and keeper.due():
-                        keeper.keep(pace.t, _remember(parts))
-        except Breakdown as broken:
-            back()
-            pace.speed = scheme.evaluate()
-            status = _breakdown_sentence(broken, scheme.K[broken.cell + 1], grid, pace.t, dt, cfl)
-        except Halt as halt:
-            back()
-            scheme.evaluate()
-            status = f"stopped at t = {pace.t:.6g}: {halt}"
-        except _StepTooSmall:
-            scheme.evaluate()
-            status = _small_step_sentence(scheme, problem, grid, pace.t, dt, pace.speed, cfl)
-    if status != "done":
-        if not recorder.rows or recorder.columns[0][recorder.rows - 1] < pace.t:
-            recorder.save(pace.t, scheme)
-        dt = 0.0  # no step led from this state to another
-        with suppress(Halt, Breakdown):  # what monitors tell of the end is told of the last good state too
-            last = present(pace.t, pace.steps, pace.speed)
-            for monitor in (m for name, m in monitors.items() if seen[name] < pace.t):
-                monitor.observe(last)
-    times, W, q, K = (column[: recorder.rows] for column in recorder.columns)
-    return Recording(times, W, q, K, status, pace.steps, (float(pace.shortest), float(pace.longest)), pace.seconds)
+            one.first_state()
+        stop = one.run(happened, keeper)
+    if stop:
+        one.last_good_state()
+    times, W, q, K = (column[: one.recorder.rows] for column in one.recorder.columns)
+    pace = one.pace
+    return Recording(times, W, q, K, stop, pace.steps, (float(pace.shortest), float(pace.longest)), pace.seconds)
 
 
-def _small_step_sentence(
-    scheme: Scheme, problem: Problem, grid: Grid, t: float, dt: float, speed: float, cfl: float
-) -> str:
-    K = np.maximum(scheme.K[1:], scheme.K[:-1])
-    fastest = int(np.argmax(K * problem.law.derivative(scheme.q)))
-    return (
-        f"stopped at t = {t:.6g}: the time step {dt:.3g} fell below {STEP_FLOOR:g} of the run, since K f' = "
-        f"{speed:.3g} at x = {grid.centres[fastest]:.6g} (K = {K[fastest]:.3g}, q = {scheme.q[fastest]:.6g}) "
-        f"and cfl = {cfl:g}; use {'a larger cfl, ' if cfl < SMALL_CFL else ''}fewer cells or an earlier end"
+def _no_start(broken: Breakdown, grid: Grid) -> Stop:
+    return Stop(
+        Reason.NOT_ADMISSIBLE,
+        "the run cannot start: K f' is not a finite number near x = {x:.6g}, where q = {q:.6g}; the integral of f is "
+        "too large (K spans more than 300 decades) or q is too near -1",
+        values={"x": Place(grid.centres[broken.cell]), "q": broken.q},
     )
 
 
-def _breakdown_sentence(broken: Breakdown, K: float, grid: Grid, t: float, dt: float, cfl: float) -> str:
-    x = grid.centres[broken.cell]
-    what = f"q = {broken.q:.6g} reached -1" if np.isfinite(broken.q) else "q stopped being finite"
-    remedy = "set cfl to 1 or less" if cfl > 1 else "use a monotone method (godunov), or a smaller cfl"
-    step = f"in a step of {dt:.3g} (cfl = {cfl:g}, K = {K:.3g} there)"
-    return f"stopped at t = {t:.6g} near x = {x:.6g}: {what} {step}; {remedy}"
+def _too_small_a_step(run: March) -> Stop:
+    scheme, grid = run.scheme, run.grid
+    K = np.maximum(scheme.K[1:], scheme.K[:-1])
+    fastest = int(np.argmax(K * run.problem.law.derivative(scheme.q)))
+    return Stop(
+        Reason.TOO_SMALL_STEPS,
+        "stopped at t = {t:.6g}: the time step {dt:.3g} fell below {floor:g} of the run, since K f' = {speed:.3g} at "
+        "x = {x:.6g} (K = {K:.3g}, q = {q:.6g}) and cfl = {cfl:g}",
+        f"use {'a larger cfl, ' if run.cfl < SMALL_CFL else ''}fewer cells or an earlier end",
+        {"t": Time(run.pace.t), "dt": run.batch.dt, "floor": STEP_FLOOR, "speed": run.pace.speed,
+         "x": Place(grid.centres[fastest]), "K": K[fastest], "q": scheme.q[fastest], "cfl": run.cfl},
+    )  # fmt: skip
+
+
+def _breakdown(broken: Breakdown, run: March) -> Stop:
+    what = "q = {q:.6g} reached -1" if np.isfinite(broken.q) else "q stopped being finite"
+    return Stop(
+        Reason.NOT_ADMISSIBLE,
+        "stopped at t = {t:.6g} near x = {x:.6g}: " + what + " in a step of {dt:.3g} (cfl = {cfl:g}, K = {K:.3g} "
+        "there)",
+        "set cfl to 1 or less" if run.cfl > 1 else f"use a monotone method ({ROBUST_METHOD}), or a smaller cfl",
+        {"t": Time(run.pace.t), "x": Place(run.grid.centres[broken.cell]), "q": broken.q, "dt": run.batch.dt,
+         "cfl": run.cfl, "K": run.scheme.K[broken.cell + 1]},
+    )  # fmt: skip

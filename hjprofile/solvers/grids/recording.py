@@ -1,0 +1,72 @@
+"""What a run on a grid stores: rows at the saved times, and the memory of its parts for checkpoints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hjprofile.problem.grid import Grid
+from hjprofile.solvers.grids.scheme import Scheme
+from hjprofile.solvers.run import Array
+from hjprofile.solvers.stop import Stop
+
+
+class Recording(NamedTuple):
+    """What was saved on the way, with an account of the steps."""
+
+    times: Array
+    W: Array
+    q: Array
+    K: Array
+    stop: Stop | None  # None: went to the end
+    steps: int
+    step_range: tuple[float, float]
+    wall_seconds: float
+
+
+class Recorder:
+    """Rows of t, W, q and K at the times that are kept."""
+
+    memory: tuple[str, ...] = ("kept",)
+
+    def __init__(self, times: int, grid: Grid):
+        self.columns = [
+            np.empty((times, *shape)) for shape in ((), (grid.cells + 1,), (grid.cells,), (grid.cells + 1,))
+        ]
+        self.rows = 0
+
+    def save(self, t: float, scheme: Scheme) -> None:
+        for i, value in enumerate((t, scheme.W, scheme.q, scheme.K)):
+            if self.rows == len(self.columns[i]):  # the last good state of a run that stopped after all kept times
+                self.columns[i] = np.concatenate([self.columns[i], [value]])
+            self.columns[i][self.rows] = value
+        self.rows += 1
+
+    @property
+    def kept(self) -> Array:
+        return np.hstack([column[: self.rows].reshape(self.rows, column[0].size) for column in self.columns])
+
+    @kept.setter
+    def kept(self, rows: Array) -> None:
+        self.rows = len(rows)
+        widths = np.cumsum([1] + [column.shape[1] for column in self.columns[1:]])
+        for column, part in zip(self.columns, np.split(rows, widths[:-1], axis=1), strict=True):
+            column[: self.rows] = part.reshape(column[: self.rows].shape)
+
+
+def remember(parts: Mapping[str, Any]) -> dict[str, Array]:
+    """What the parts of a run name as their memory, by "part.name"."""
+    return {f"{part}.{name}": np.asarray(getattr(what, name)) for part, what in parts.items() for name in what.memory}
+
+
+def recall(parts: Mapping[str, Any], stored: Mapping[str, Array]) -> None:
+    """Sets the memory of the parts of a run to what was stored of it."""
+    for part, what in parts.items():
+        for name in what.memory:
+            value, present = stored[f"{part}.{name}"], getattr(what, name)
+            if isinstance(present, np.ndarray):
+                setattr(what, name, np.array(value))
+            else:
+                setattr(what, name, tuple(value.tolist()) if isinstance(present, tuple) else value.item())
