@@ -36,13 +36,13 @@ if TYPE_CHECKING:
     from hjprofile.problem.profiles import steps as steps
     from hjprofile.problem.survey import read_survey as read_survey
     from hjprofile.problem.survey import survey as survey
-    from hjprofile.solvers.characteristics.shock_fitting import solve_characteristics as solve_characteristics
-    from hjprofile.solvers.fronts.front_tracking import track_fronts as track_fronts
-    from hjprofile.solvers.methods import solve as solve
-    from hjprofile.solvers.methods import solve_case as solve_case
-    from hjprofile.solvers.methods import solve_conservative as solve_conservative
-    from hjprofile.solvers.methods import solve_hj as solve_hj
     from hjprofile.solvers.run import Run as Run
+    from hjprofile.solvers.solve import solve as solve
+    from hjprofile.solvers.solve import solve_case as solve_case
+    from hjprofile.solvers.solve import solve_characteristics as solve_characteristics
+    from hjprofile.solvers.solve import solve_conservative as solve_conservative
+    from hjprofile.solvers.solve import solve_hj as solve_hj
+    from hjprofile.solvers.solve import track_fronts as track_fronts
     from hjprofile.studies.accuracy import Comparison as Comparison
     from hjprofile.studies.accuracy import compare as compare
     from hjprofile.studies.accuracy import observed_order as observed_order
@@ -70,11 +70,11 @@ _MODULES = {
     "problem.grid": ("Grid",),
     "problem.profiles": ("bumps", "kinks", "points", "profile", "steady", "steps"),
     "problem.survey": ("read_survey", "survey"),
-    "solvers.characteristics.shock_fitting": ("solve_characteristics",),
-    "solvers.fronts.front_tracking": ("track_fronts",),
-    "solvers.methods": ("solve", "solve_case", "solve_conservative", "solve_hj"),
     "solvers.run": ("Run",),
-}
+    "solvers.solve": (
+        "solve", "solve_case", "solve_characteristics", "solve_conservative", "solve_hj", "track_fronts",
+    ),
+}  # fmt: skip
 _HOME = {name: f"hjprofile.{module}" for module, names in _MODULES.items() for name in names}
 
 __all__ = [*_HOME, "__version__"]

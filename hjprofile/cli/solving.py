@@ -63,9 +63,9 @@ def run(
     loaded = load_case(case, {key: value for key, value in asked.items() if value is not None})
     folder = folder_for((case,), out, keep=NAME if resume else "")
     with drawing_helper(loaded.plots) as helper:
-        from hjprofile.solvers.methods import check_method, solve_case
+        from hjprofile.solvers.solve import check_case, solve_case
 
-        check_method(loaded)
+        check_case(loaded)
         folder.open()
         checkpoint = Checkpoint(folder.path, loaded.checkpoint, resume, folder.claim)
         with Progress("eroding") as progress:

@@ -14,17 +14,13 @@ from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.line import moved, tail
 from hjprofile.problem.lists import as_numbers
+from hjprofile.problem.model import LinearGrowth, Model, Prescribed, RollingLayer, SlowErosion, WholeLine
 from hjprofile.problem.profiles import TAIL, Profile
 from hjprofile.problem.ranges import SAME_TIME, instance, number, plain, shown
 
-LAYER_METHOD = "conservative-telescoping"  # for its flux the bed loses exactly what the layer gains
-# These move a vertical step at its right speed
-CARRY_STEPS = "telescoping", "conservative-telescoping", "conservative", "fronts"
 LINES = "half", "whole"
-OFF_GRID = "fronts", "characteristics", "auto"
 LONGEST_TITLE = 500  # characters; a picture wraps them into a dozen lines
 FAR_LEFT = 4.0  # lengths of a survey that a domain may have before its left end is taken for one in metres
-MOST_REFRESHES = 1_000_000  # of a factor that is kept for a while, in a run
 
 
 @dataclass(frozen=True)
@@ -74,14 +70,9 @@ class Problem:
             raise InputError(f"line = {shown(self.line)} is not known; allowed are {', '.join(map(repr, LINES))}")
         if self.thickness and self.line == "whole":
             raise InputError(f"thickness = {self.thickness:g} needs line = 'half': grains that start at the top")
-        changes = {
-            "a coefficient": self.coefficient is not None,
-            "a layer's thickness": self.thickness > 0.0,
-            "line = 'whole'": self.line == "whole",
-            "a law with growth = 'linear'": self.law.grows_linearly,
-        }
-        if sum(changes.values()) > 1:
-            raise InputError(f"{' and '.join(name for name, asked in changes.items() if asked)} do not go together")
+        models = self._models()
+        if len(models) > 1:
+            raise InputError(f"{' and '.join(models)} do not go together")
         self._check_units()
 
     def _check_units(self) -> None:
@@ -92,6 +83,24 @@ class Problem:
             raise InputError(
                 f"the coefficient is of a slope with {known}, and the profile has {units}; use the same units for both"
             )
+
+    def _models(self) -> dict[str, Model]:
+        """What is asked for beyond slow erosion, by its name in sentences."""
+        models: dict[str, Model] = {}
+        if self.coefficient is not None:
+            models["a coefficient"] = Prescribed(self.coefficient)
+        if self.thickness > 0.0:
+            models["a layer's thickness"] = RollingLayer(self.thickness)
+        if self.line == "whole":
+            models["line = 'whole'"] = WholeLine()
+        if self.law.grows_linearly:
+            models["a law with growth = 'linear'"] = LinearGrowth()
+        return models
+
+    @property
+    def model(self) -> Model:
+        """What is modelled, of five that exclude each other (`problem/model.py`)."""
+        return next(iter(self._models().values()), SlowErosion())
 
     @property
     def kept(self) -> int:
@@ -126,47 +135,10 @@ class Problem:
             raise InputError("line = 'whole' needs a grid that says where the window ends")
         return self.profile.grid(tail=tail)
 
-    def check_method(self, method: str, refresh: float | None = None) -> None:
-        """Raises InputError if the method cannot solve this problem on any grid, with a factor that is kept so long."""
-        if self.thickness and method != LAYER_METHOD:
-            raise InputError(
-                f"thickness = {self.thickness:g}: a slope with a rolling layer is solved by the method "
-                f"{LAYER_METHOD} only"
-            )
-        if self.coefficient is not None and method in OFF_GRID:
-            raise InputError(
-                f"the method {method} follows the invariant I, which a given coefficient does not have; "
-                "use a method on a grid, such as conservative"
-            )
-        if self.law.grows_linearly and method not in CARRY_STEPS:
-            raise InputError(
-                f"method = {method!r} cannot carry the vertical steps of a law with growth = 'linear'; "
-                f"those that can are {', '.join(CARRY_STEPS)}"
-            )
-        if refresh is None:
-            return
-        refresh = number("refresh", refresh)
-        if method in OFF_GRID:
-            raise InputError(
-                f"refresh applies to methods on a grid; {method} follows the invariant I, which a factor that is kept "
-                "does not have; leave it out"
-            )
-        if not self.end <= MOST_REFRESHES * refresh:
-            raise InputError(
-                f"refresh = {refresh:g} must be at least end / {MOST_REFRESHES:,} = "
-                f"{self.end / MOST_REFRESHES:g}; leave it out to update the factor in every step"
-            )
-        if self.thickness or self.law.grows_linearly or self.line == "whole":
-            what = (
-                "a rolling layer" if self.thickness else "line = 'whole'" if self.line == "whole" else "linear growth"
-            )
-            raise InputError(f"refresh = {refresh:g} does not go together with {what}; leave it out")
-
     @np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks refuse
-    def check(self, grid: Grid, method: str, refresh: float | None = None) -> None:
-        """Raises InputError if the problem cannot be solved on this grid by this method."""
+    def check(self, grid: Grid) -> None:
+        """Raises InputError if the problem cannot be solved on this grid by any method."""
         instance("grid", grid, Grid)
-        self.check_method(method, refresh)
         grid.check_memory(self.kept)
         self.check_line(grid)
         self.check_profile(grid)

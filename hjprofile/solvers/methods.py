@@ -1,25 +1,24 @@
-"""The solvers by name, with what watches them."""
+"""The methods: one row for each, from which everybody learns what there is and what it can do.
+
+A numerical flux is a row of FLUXES, and gives two methods: for u, and for q by its twin in numpy.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 
 from hjprofile.errors import InputError, did_you_mean
-from hjprofile.problem import OFF_GRID, Problem
-from hjprofile.problem.case import DEFAULT_CFL, DEFAULT_METHOD, Case, resolved_case
+from hjprofile.problem import Problem
+from hjprofile.problem.case import DEFAULT_CFL
 from hjprofile.problem.grid import Grid
-from hjprofile.problem.identity import identity
-from hjprofile.problem.profiles import TAIL, Kinks
-from hjprofile.problem.ranges import as_number, instance, number, shown
+from hjprofile.problem.ranges import shown
 from hjprofile.solvers.characteristics.shock_fitting import COARSEST, FINEST, solve_characteristics
-from hjprofile.solvers.data_resolution import cells_resolve
 from hjprofile.solvers.fronts.front_tracking import track_fronts
-from hjprofile.solvers.grids import conservation
-from hjprofile.solvers.grids import hamilton_jacobi as hj
+from hjprofile.solvers.grids import conservation as twins
 from hjprofile.solvers.grids.bounds_monitor import (
     HIGHER_ORDER,
     LOCAL,
@@ -28,215 +27,175 @@ from hjprofile.solvers.grids.bounds_monitor import (
     STEEP_SECOND_ORDER,
     TELESCOPING,
     WITH_LAYER,
-    BoundsMonitor,
     Promises,
 )
+from hjprofile.solvers.grids.conservation import FirstOrder, HighOrderConservation, SecondOrder
+from hjprofile.solvers.grids.factor import Factor
+from hjprofile.solvers.grids.flux import Flux
+from hjprofile.solvers.grids.grid_law import GridLaw, grid_law
+from hjprofile.solvers.grids.grid_run import Progress, Setup, solve_on_grid
+from hjprofile.solvers.grids.hamilton_jacobi import HamiltonJacobi, HighOrderHamiltonJacobi
 from hjprofile.solvers.grids.high_order import ORDERS
-from hjprofile.solvers.grids.kink_tracker import KinkTracker
-from hjprofile.solvers.grids.march import NOBODY, march
+from hjprofile.solvers.grids.kernels import wavefront
 from hjprofile.solvers.grids.scheme import Scheme
-from hjprofile.solvers.run import Keeper, Monitor, Run, in_order
+from hjprofile.solvers.layer.layer_scheme import WithLayer
+from hjprofile.solvers.method import Feature, Form, Method
+from hjprofile.solvers.run import Array, Run
 from hjprofile.solvers.select import least_work
-from hjprofile.solvers.vertical_steps.step_fronts import step_law
-from hjprofile.solvers.vertical_steps.step_monitor import StepMonitor, with_dates
+from hjprofile.solvers.stop import ROBUST_METHOD
+from hjprofile.solvers.vertical_steps.on_grids import SecondOrderTelescoping, StepsOnGrid
 from hjprofile.solvers.whole_line import also_on_the_whole_line
 
-Progress = Callable[[float], None]
+ON_GRIDS = frozenset({Feature.INFLOW, Feature.COEFFICIENT, Feature.REFRESH, Feature.WHOLE_LINE})
+MakeScheme = Callable[[Problem, Grid, float | None], Scheme]
 
-HJ_METHODS = (*hj.FLUXES, *ORDERS)
-CONSERVATIVE_METHODS = ("conservative", *conservation.FLUXES, *conservation.HIGH_ORDER)
-# What each method on a grid keeps to; see bounds_monitor.py
-PROMISES: Mapping[str, Promises] = MappingProxyType(
+FLUXES: Mapping[str, Flux] = MappingProxyType(
     {
-        **dict.fromkeys((*HJ_METHODS, *CONSERVATIVE_METHODS), HIGHER_ORDER),
-        **{f"{form}{name}": MONOTONE for form in ("", "conservative-") for name in ("godunov", "lax-friedrichs")},
-        **{f"{form}telescoping": TELESCOPING for form in ("", "conservative-")},
-        **{f"{form}local-lax-friedrichs": LOCAL for form in ("", "conservative-")},
+        flux.name: flux
+        for flux in (
+            Flux(
+                "lax-friedrichs", wavefront.LaxFriedrichs, twins.lax_friedrichs, cfl_limit=2 / 3, viscous=True,
+                lasting=False,
+            ),
+            Flux("local-lax-friedrichs", wavefront.LocalLaxFriedrichs, twins.local_lax_friedrichs, viscous=True),
+            Flux("godunov", wavefront.Godunov, twins.godunov),
+            Flux("telescoping", wavefront.Telescoping, twins.telescoping),
+        )
     }
-)
-METHODS = (*HJ_METHODS, *CONSERVATIVE_METHODS, *OFF_GRID)
+)  # fmt: skip
+PROMISES: Mapping[str, Promises] = {"local-lax-friedrichs": LOCAL, "telescoping": TELESCOPING}  # else MONOTONE
 
 
-def solve_hj(
-    problem: Problem,
-    grid: Grid,
-    method: str = DEFAULT_METHOD,
-    cfl: float = DEFAULT_CFL,
-    progress: Progress | None = None,
-    refresh: float | None = None,
-) -> Run:
-    """Solves u_t + K f(u_x - 1) = 0 on the nodes, as W = u - x (theory, §2).
-
-    `method` is "local-lax-friedrichs", "lax-friedrichs", "godunov", "telescoping" (first order), "eno2" or "weno5";
-    `cfl` the time step as a part of the largest that the method admits, up to 1; `refresh` how long the factor is kept
-    before it is taken anew (theory, §10; None: anew in every step). Raises InputError for bad input, and RunError if
-    the run cannot start; one that breaks down later returns what was good, with the reason in `status`.
-    """
-    instance("problem", problem, Problem)
-    _known(method, HJ_METHODS)
-    problem.check(grid, method, refresh)
-    return _solve(problem, grid, method, cfl, progress, refresh=refresh)
+def _data(problem: Problem, grid: Grid, refresh: float | None) -> tuple[GridLaw, Array, Factor]:
+    """The law for compiled loops, W on the nodes, and the factor."""
+    W = problem.profile.W(grid.nodes, problem.law)
+    return grid_law(problem.law, np.diff(W) / grid.dx), W, Factor(grid, problem.coefficient, refresh)
 
 
-def solve_conservative(
-    problem: Problem,
-    grid: Grid,
-    method: str = "conservative",
-    cfl: float = DEFAULT_CFL,
-    progress: Progress | None = None,
-    refresh: float | None = None,
-) -> Run:
-    """Solves q_t + (K f(q))_x = 0 on the cells.
+def _for_height(flux: Flux) -> MakeScheme:
+    def scheme(problem: Problem, grid: Grid, refresh: float | None = None) -> Scheme:
+        law, W, factor = _data(problem, grid, refresh)
+        return HamiltonJacobi(law, grid, W, flux, problem.profile.inflow, factor)
 
-    `method` is "conservative", second order and independent of `solve_hj`, or "conservative-" before the name of one of
-    its methods: that carries the flux over, and the two forms agree to rounding. Otherwise as `solve_hj`, with the same
-    errors raised.
-    """
-    instance("problem", problem, Problem)
-    _known(method, CONSERVATIVE_METHODS)
-    problem.check(grid, method, refresh)
-    return _solve(problem, grid, method, cfl, progress, refresh=refresh)
+    return scheme
 
 
-def solve(problem: Problem, tolerance: float, grid: Grid | None = None, progress: Progress | None = None) -> Run:
-    """Solves to a tolerance on sup|u - exact u| over all saved times with the least work (`solvers/select.py`).
+def _for_slope(make: Callable[..., Scheme], *parts: object) -> MakeScheme:
+    """A scheme of cell means that is made of law, grid, q, W at the left end, inflow, `parts` and the factor."""
 
-    The result is read on `grid`, by default 2000 cells over the profile. `method` says what was chosen, `account` why,
-    and `error_estimate` what was reached. Raises InputError for bad input, and RunError if no method gets through.
-    """
-    instance("problem", problem, Problem)
-    asked, tolerance = tolerance, as_number(tolerance)
-    if not FINEST <= tolerance <= 1.0:
-        raise InputError(f"tolerance = {shown(asked)} must lie between {FINEST:g} and 1")
-    grid = problem.grid(tail=min(TAIL, 0.01 * tolerance)) if grid is None else grid
-    problem.check(grid, "auto")
+    def scheme(problem: Problem, grid: Grid, refresh: float | None = None) -> Scheme:
+        law, W, factor = _data(problem, grid, refresh)
+        return make(law, grid, np.diff(W) / grid.dx, float(W[0]), problem.profile.inflow, *parts, factor)
 
-    def on_grid(problem: Problem, grid: Grid, method: str) -> Run:
-        return _solve(problem, grid, method, DEFAULT_CFL, progress)
-
-    return least_work(problem, grid, tolerance, on_grid, progress)
+    return scheme
 
 
-def check_method(case: Case) -> None:
-    """Raises InputError if the case asks for a method that does not exist, or for one without what it needs."""
-    try:
-        _known(case.method, METHODS)
-        if case.tolerance is not None and case.method not in ("characteristics", "auto"):
-            raise InputError(
-                f"tolerance applies to the methods characteristics and auto, not to {case.method}; "
-                "leave it out, or set method = 'auto'"
-            )
-        most = COARSEST if case.method == "characteristics" else 1.0
-        if case.tolerance is not None and not FINEST <= case.tolerance <= most:
-            raise InputError(f"tolerance = {case.tolerance:g} must lie between {FINEST:g} and {most:g}")
-        if case.tolerance is None and case.method == "auto":
-            raise InputError("method = 'auto' needs a tolerance: the largest error of u that will do")
-        case.problem.check_method(case.method, case.refresh)
-    except InputError as error:
-        raise InputError(f"{case.source}: [solver] {error}", about="method-and-tolerance") from None
+def _without_factor(make: Callable[..., Scheme], *parts: object) -> MakeScheme:
+    """As `_for_slope`, for a scheme that knows no other K than its own."""
+    return _for_slope(lambda *given: make(*given[:-1]), *parts)
 
 
-def solve_case(case: Case, progress: Progress | None = None, strict: bool = False, keeper: Keeper | None = None) -> Run:
-    """Solves a case by its own method.
+def _high_order_height(order: str) -> MakeScheme:
+    def scheme(problem: Problem, grid: Grid, refresh: float | None = None) -> Scheme:
+        law, W, factor = _data(problem, grid, refresh)
+        return HighOrderHamiltonJacobi(law, grid, W, order, problem.profile.inflow, factor)
 
-    With `strict` a run on a grid stops where it breaks a bound that its method promises; any other returns with that
-    as its status. A keeper keeps checkpoints of runs on a grid; others take seconds. Raises InputError if the case asks
-    for incompatible options, or for checkpoints of a Python function of no file. Raises RunError if the run cannot
-    start, or if no method gets through with `auto`.
-    """
-    instance("case", case, Case)
-    check_method(case)
-    problem, grid, method = case.problem, case.grid, case.method
-    if method in HJ_METHODS or method in CONSERVATIVE_METHODS:
-        problem.check(grid, method, case.refresh)
-        itself = identity(case) | {"strict": strict} if keeper else NOBODY
-        return _solve(problem, grid, method, case.cfl, progress, strict, keeper, case.refresh, itself)
-    if method == "auto":
-        assert case.tolerance is not None
-        run = solve(problem, case.tolerance, grid, progress)
-    elif method == "characteristics":
-        run = solve_characteristics(problem, grid, case.tolerance, progress)
-        if case.tolerance and run.done and not run.meets(case.tolerance):
-            finest = solve_characteristics(problem, grid, FINEST, progress)
-            run = replace(finest, case=run.case) if finest.done else run
-        run = run.judged(case.tolerance) if case.tolerance else run
-    else:
-        run = track_fronts(problem, grid, progress=progress)
-    return (
-        replace(run, status=f"went to its end, but {run.broken_bounds[0]}")
-        if strict and run.done and run.broken_bounds
-        else run
-    )
+    return scheme
 
 
-def _known(method: str, methods: tuple[str, ...]) -> None:
-    if not isinstance(method, str) or method not in methods:
-        hint = did_you_mean(str(method), methods)
-        raise InputError(f"method = {shown(method)} is not known{hint} (allowed: {', '.join(methods)})")
+def _below_a_layer(problem: Problem, grid: Grid, refresh: float | None = None) -> Scheme:
+    return _without_factor(WithLayer, FLUXES["telescoping"], problem.thickness)(problem, grid, refresh)
 
 
-def _promises(problem: Problem, method: str) -> Promises:
-    """What a method keeps to on this problem."""
-    if problem.law.grows_linearly:
-        return STEEP_SECOND_ORDER if method == "conservative" else STEEP
-    return WITH_LAYER if problem.thickness else PROMISES[method]
-
-
-@also_on_the_whole_line
-def _solve(
-    problem: Problem, grid: Grid, method: str, cfl: float, progress: Progress | None,
-    strict: bool = False, keeper: Keeper | None = None, refresh: float | None = None, identity: Mapping = NOBODY,
-) -> Run:  # fmt: skip
-    """Run a method on a grid, watched; `identity` distinguishes a keeper's checkpoints from those of other runs."""
-    cfl = number("cfl", cfl)
-    scheme: Scheme = (hj if method in HJ_METHODS else conservation).scheme(problem, grid, method, refresh)
-    bounds = BoundsMonitor(
-        problem.law, grid, scheme.W, problem.profile.inflow, problem.end, _promises(problem, method),
-        hj.FLUXES.get(method.removeprefix("conservative-")), strict, problem.coefficient, scheme.factor.refresh,
+def _second_order() -> Method:
+    steps = _without_factor(SecondOrderTelescoping, FLUXES["telescoping"])
+    return Method(
+        "conservative", Form.SLOPE, ON_GRIDS | {Feature.LINEAR_GROWTH}, Setup(_for_slope(SecondOrder), HIGHER_ORDER),
+        {Feature.LINEAR_GROWTH: Setup(steps, STEEP_SECOND_ORDER, StepsOnGrid)}, midpoint=True, cfl_proved=1.0,
     )  # fmt: skip
-    if problem.law.grows_linearly:
-        table = step_law(problem.law, 0.5 * (float(np.min(np.diff(scheme.W))) / grid.dx - 1.0))
-        steps = StepMonitor(table, grid, problem.times, problem.law.f)
-        tracker = KinkTracker(problem.law, grid, steps.hidden)
-        watching: dict[str, Monitor] = {"bounds": bounds, "kinks": tracker, "steps": steps}
-    else:
-        tracker = KinkTracker(problem.law, grid)
-        watching = {"bounds": bounds, "kinks": tracker}
-    case = resolved_case(problem, grid, method, cfl, refresh=scheme.factor.refresh)
-    record = march(scheme, problem, grid, cfl, watching, progress, tracker.happened, keeper, identity)
-    kinks, events = tracker.result(record.times)
-    vertical_steps = None
-    cautions = cells_resolve(problem, grid).caution(f"{grid.cells} cells", "more cells, or the method auto")
-    if problem.law.grows_linearly:
-        # a grid does not show from which kink a step came: steps are numbered after all kinks
-        taken = max([k.kink for k in kinks] + [e.kink for e in events], default=0)
-        vertical_steps, more = steps.result(taken)
-        events, doubts = with_dates(in_order(events + more), grid, table, isinstance(problem.profile, Kinks))
-        cautions = (*cautions, *doubts)
-    u = record.W
-    u += grid.nodes
-    return Run(
-        title=problem.title,
-        method=method,
-        case=case,
-        time=record.times,
-        x=grid.nodes,
-        x_cell=grid.centres,
-        u=u,
-        q=record.q,
-        K=record.K,
-        stop=record.stop,
-        steps=record.steps,
-        step_range=record.step_range,
-        wall_seconds=record.wall_seconds,
-        kinks=kinks,
-        events=events,
-        vertical_steps=vertical_steps,
-        bounds=bounds.bounds,
-        eroded_volume=bounds.eroded_volume,
-        outflow=bounds.outflow,
-        volume_budget_error=bounds.budget_error,
-        units=problem.profile.units,
-        account=problem.profile.account,
-        cautions=cautions,
-    )
+
+
+def _first_order() -> Iterator[Method]:
+    for flux in FLUXES.values():
+        steep = flux is FLUXES["telescoping"]  # moves a vertical step at its right speed, whatever K is (theory, §14)
+        promises = PROMISES.get(flux.name, MONOTONE)
+        supports = ON_GRIDS | {Feature.LINEAR_GROWTH} if steep else ON_GRIDS
+        about = {"flux": flux, "midpoint": True, "cfl_proved": 2 / 3 if flux.viscous else 1.0}
+        for name, form, scheme in (
+            (flux.name, Form.HEIGHT, _for_height(flux)),
+            (f"conservative-{flux.name}", Form.SLOPE, _for_slope(FirstOrder, flux)),
+        ):
+            carries = flux.name if form is Form.SLOPE else ""
+            method = Method(name, form, supports, Setup(scheme, promises), carries=carries, **about)  # type: ignore[arg-type]
+            if steep:
+                method = replace(method, variants={Feature.LINEAR_GROWTH: Setup(scheme, STEEP, StepsOnGrid)})
+            if steep and form is Form.SLOPE:  # by its flux the bed loses exactly what the layer gains (theory, §8)
+                layer = {Feature.LAYER: Setup(_below_a_layer, WITH_LAYER)}
+                method = replace(method, supports=supports | {Feature.LAYER}, variants={**method.variants, **layer})
+            yield method
+
+
+def _high_order() -> Iterator[Method]:
+    for name, order in ORDERS.items():
+        high = Setup(_high_order_height(name), HIGHER_ORDER)
+        yield Method(name, Form.HEIGHT, ON_GRIDS, high, cfl_proved=order.cfl_proved)
+        high = Setup(_for_slope(HighOrderConservation, name), HIGHER_ORDER)
+        yield Method(f"conservative-{name}", Form.SLOPE, ON_GRIDS, high, carries=name, cfl_proved=order.cfl_proved)
+
+
+on_grid = also_on_the_whole_line(solve_on_grid)
+by_fronts = also_on_the_whole_line(track_fronts)
+by_characteristics = also_on_the_whole_line(solve_characteristics)
+with_least_work = also_on_the_whole_line(least_work)
+
+
+def _fronts(problem: Problem, grid: Grid, tolerance: float | None, progress: Progress | None) -> Run:
+    return by_fronts(problem, grid, progress=progress)
+
+
+def _characteristics(problem: Problem, grid: Grid, tolerance: float | None, progress: Progress | None) -> Run:
+    """To the tolerance, or to the finest one if that does not do."""
+    run = by_characteristics(problem, grid, tolerance, progress)
+    if tolerance and run.done and not run.meets(tolerance):
+        finest = by_characteristics(problem, grid, FINEST, progress)
+        run = replace(finest, case=run.case) if finest.done else run
+    return run.judged(tolerance) if tolerance else run
+
+
+def _auto(problem: Problem, grid: Grid, tolerance: float | None, progress: Progress | None) -> Run:
+    assert tolerance is not None
+
+    def fallback(name: str) -> Callable[[Problem, Grid], Run]:
+        return lambda problem, grid: on_grid(problem, grid, METHODS[name], DEFAULT_CFL, progress)
+
+    fallbacks = {name: fallback(name) for name in ("conservative", ROBUST_METHOD)}
+    return with_least_work(problem, grid, tolerance, fallbacks, progress)
+
+
+_OFF_GRID = (
+    Method("fronts", Form.OFF_GRID, frozenset({Feature.WHOLE_LINE, Feature.LINEAR_GROWTH}), solve=_fronts),
+    Method(
+        "characteristics", Form.OFF_GRID, frozenset({Feature.WHOLE_LINE}), solve=_characteristics,
+        tolerance=(FINEST, COARSEST),
+    ),
+    Method(
+        "auto", Form.OFF_GRID, frozenset({Feature.WHOLE_LINE, Feature.INFLOW}), solve=_auto, tolerance=(FINEST, 1.0),
+        needs_tolerance=True,
+    ),
+)  # fmt: skip
+_ROWS = (_second_order(), *_first_order(), *_high_order(), *_OFF_GRID)
+METHODS: Mapping[str, Method] = MappingProxyType({row.name: row for form in Form for row in _ROWS if row.form is form})
+
+
+def named(form: Form | None = None) -> tuple[str, ...]:
+    """Return the names of the methods of a form, or of all."""
+    return tuple(name for name, method in METHODS.items() if form in (None, method.form))
+
+
+def find_method(name: str, among: tuple[str, ...] = ()) -> Method:
+    """Return the method of that name, one of `among` if that is given. Raises InputError."""
+    among = among or tuple(METHODS)
+    if not isinstance(name, str) or name not in among:
+        hint = did_you_mean(str(name), among)
+        raise InputError(f"method = {shown(name)} is not known{hint} (allowed: {', '.join(among)})")
+    return METHODS[name]

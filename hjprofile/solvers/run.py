@@ -248,6 +248,11 @@ class Run:
         return self.status == "done"
 
     @property
+    def stepped(self) -> bool:
+        """Whether it took the time steps of a scheme on a grid."""
+        return not np.isnan(self.step_range[1])
+
+    @property
     def warnings(self) -> list[str]:
         """The cautions, then a sentence for each broken bound."""
         return [*self.cautions, *self.broken_bounds]

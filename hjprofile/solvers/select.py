@@ -7,7 +7,7 @@ that the choice is the same on every machine and a case solves to the same numbe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,7 +25,6 @@ from hjprofile.solvers.fronts.front_tracking import Witness, begin, track, track
 from hjprofile.solvers.run import Array, KinkRecord, Run
 from hjprofile.solvers.stop import ROBUST_METHOD, Reason, Stop, Stopped
 from hjprofile.solvers.units_of_the_law import Units
-from hjprofile.solvers.whole_line import also_on_the_whole_line
 
 Progress = Callable[[float], None]
 
@@ -113,29 +112,32 @@ class _Search:
         return replace(run, case=case, account=account, wall_seconds=self.seconds).judged(tolerance)
 
 
-@also_on_the_whole_line
 def least_work(
     problem: Problem,
     grid: Grid,
     tolerance: float,
-    on_grid: Callable[[Problem, Grid, str], Run],
+    fallbacks: Mapping[str, Callable[[Problem, Grid], Run]],
     progress: Progress | None = None,
 ) -> Run:
     """Solves to a tolerance on sup|u - exact u| over all saved times with as little work as is known to do.
 
-    `on_grid` solves with a method on a grid. Raises RunError if nothing goes to its end.
+    `fallbacks` solve on grids where nothing else gets through, by their names. Raises RunError if nothing goes to its
+    end.
     """
     units = Units.of(problem.law)
 
-    def on_scaled_grid(_: Problem, scaled: Grid, method: str) -> Run:
-        fine = replace(grid, cells=scaled.cells)
-        return units.inverse.run(on_grid(problem, fine, method), units.problem(problem), scaled)
+    def scaled(solve: Callable[[Problem, Grid], Run]) -> Callable[[Grid], Run]:
+        def on_grid(scaled: Grid) -> Run:
+            fine = replace(grid, cells=scaled.cells)
+            return units.inverse.run(solve(problem, fine), units.problem(problem), scaled)
+
+        return on_grid
 
     search = _Search(units.problem(problem), units.grid(grid), tolerance / units.length, progress, units)
     met = _closed_form(search) or (not problem.profile.inflow and _fronts_or_characteristics(search))
     if not (met or search.done):
-        for method in ("conservative", "godunov"):
-            if _on_grids(search, method, on_scaled_grid):
+        for name, solve in fallbacks.items():
+            if _on_grids(search, name, scaled(solve)):
                 break
     return search.result(problem, grid, tolerance)
 
@@ -352,7 +354,7 @@ def _coarser(problem: Problem, grid: Grid) -> Grid:
         if grid.cells % every == 0 and grid.cells // every >= COARSE_CELLS:
             coarse = replace(grid, cells=grid.cells // every)
             try:
-                problem.check(coarse, "auto")
+                problem.check(coarse)
             except InputError:  # the first cell of a Python profile is too wide
                 continue
             if cells_resolve(problem, coarse).holds:  # else two runs may differ between all these nodes
@@ -360,7 +362,7 @@ def _coarser(problem: Problem, grid: Grid) -> Grid:
     return grid
 
 
-def _on_grids(search: _Search, method: str, on_grid: Callable[[Problem, Grid, str], Run]) -> bool:
+def _on_grids(search: _Search, method: str, on_grid: Callable[[Grid], Run]) -> bool:
     """On grids of more and more cells, read on the nodes that are asked for."""
     grid, cells = search.grid, search.grid.cells
     before: Run | None = None
@@ -371,7 +373,7 @@ def _on_grids(search: _Search, method: str, on_grid: Callable[[Problem, Grid, st
             search.fail(f"{cells} cells", UNRESOLVED)
             cells *= 2
             continue
-        run = search.attempt(lambda g=fine: on_grid(search.problem, g, method), method)  # type: ignore[misc]
+        run = search.attempt(lambda g=fine: on_grid(g), method)  # type: ignore[misc]
         if run is None:
             return False
         every = cells // grid.cells

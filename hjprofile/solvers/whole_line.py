@@ -118,7 +118,7 @@ class Window:
         exits = [self.back(e.time) for e in run.events if e.event == "exit"]
         W, expected = run.u[:, -1] - run.x[-1], self.I - self.law.R(self.slope(time))
         wrong = TAIL * (1.0 + np.abs(self.I))
-        if run.method not in ("fronts", "characteristics"):
+        if run.stepped:
             wrong += SMEAR * self.grid.dx * self.slope(time)
         left = np.append(time[np.abs(W - expected) > wrong], exits)
         good = time < left.min() if left.size else time == time

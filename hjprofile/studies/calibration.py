@@ -22,6 +22,8 @@ from hjprofile.problem.lists import as_numbers
 from hjprofile.problem.profiles import Units
 from hjprofile.problem.ranges import number, plain, shown
 from hjprofile.solvers.fronts.front_tracking import heights_at_end
+from hjprofile.solvers.method import Feature, require, requirements
+from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.run import Array
 
 FRONTS = 1200  # of the heights: on the hillslope to 2 cm r.m.s. of 650 m
@@ -122,14 +124,8 @@ class _Model:
                 )
         if not self.names or len(set(self.names)) < len(self.names):
             raise InputError(f"{path}: a fit needs at least one parameter to vary, each named once")
-        if self.first.problem.profile.inflow:
-            raise InputError(f"{path}: [profile] a flux enters at the left end; a fit needs a profile with q = 0 there")
-        try:
-            self.first.problem.check_method("fronts", self.first.refresh)
-        except InputError as error:
-            raise InputError(f"{path}: a fit is made by fronts, and {error}") from None
-        if self.first.problem.line == "whole":
-            raise InputError(f"{path}: a fit is of the half line; it cannot take line = 'whole'")
+        taken = METHODS["fronts"].supports - {Feature.WHOLE_LINE}
+        require(f"{path}: a fit, made by fronts,", taken, requirements(self.first.problem, self.first.refresh))
         self.start = np.array([offered[name] for name in self.names])
         self.surveyed = self.first.problem.profile.units is not None
         self.units = self.first.problem.profile.units or Units(1.0, 1.0, 0.0, 0.0)

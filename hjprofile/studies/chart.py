@@ -11,14 +11,15 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.errors import InputError, RunError
-from hjprofile.problem import CARRY_STEPS, Problem
+from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.ranges import instance
-from hjprofile.solvers.characteristics.shock_fitting import FINEST, solve_characteristics
+from hjprofile.solvers.characteristics.shock_fitting import FINEST
 from hjprofile.solvers.closed_forms import closed_form
-from hjprofile.solvers.fronts.front_tracking import track_fronts
-from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS, solve_conservative, solve_hj
+from hjprofile.solvers.method import Feature, require, requirements
+from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.run import Array, Run
+from hjprofile.solvers.solve import solve_characteristics, solve_with, track_fronts
 
 # Neighbouring grids, not doubled ones: an error jitters with the place of a kink inside its cell
 CELLS = tuple(int(n) for n in np.geomspace(250, 8000, 12).round())
@@ -87,8 +88,8 @@ def chart(
         raise InputError(
             f"{case}: end = {problem.end:g}; a chart needs an end above 0, for it times what happens until then"
         )
-    if problem.coefficient is not None:
-        raise InputError(f"{case}: a chart needs the exact solution, which is not known with a prescribed coefficient")
+    known_exactly = set(Feature) - {Feature.COEFFICIENT, Feature.LAYER}
+    require(f"{case}: a chart, which needs the exact solution,", known_exactly, requirements(problem))
     problem = replace(problem, snapshots=np.linspace(0.0, problem.end, SNAPSHOTS).tolist())
     reference = _reference(problem, grid)
     known = {grid.cells: reference.at(grid)}
@@ -127,15 +128,14 @@ Ladder = Sequence[tuple[int, Callable[[], Run]]]
 
 def _plan(problem: Problem, grid: Grid, cfl: float) -> Iterator[tuple[str, Ladder]]:
     """Every method with its resolutions: a number for the chart, and the run."""
-    steep = problem.law.grows_linearly
-    for solve, methods in ((solve_hj, HJ_METHODS), (solve_conservative, CONSERVATIVE_METHODS)):
-        for method in (m for m in methods if m in CARRY_STEPS or not steep):
-            yield method, [(n, partial(solve, problem, replace(grid, cells=n), method, cfl)) for n in CELLS]
-    if not problem.profile.inflow:
+    able = [method for method in METHODS.values() if method.supports >= requirements(problem)]
+    for method in (m for m in able if m.on_grid):
+        yield method.name, [(n, partial(solve_with, method, problem, replace(grid, cells=n), cfl)) for n in CELLS]
+    if METHODS["fronts"] in able:
         yield "fronts", [(n, partial(track_fronts, problem, grid, n)) for n in FRONTS]
-        if not steep:
-            exact = partial(solve_characteristics, problem, grid)
-            yield "characteristics", [(grid.cells, partial(exact, tolerance)) for tolerance in TOLERANCES]
+    if METHODS["characteristics"] in able:
+        exact = partial(solve_characteristics, problem, grid)
+        yield "characteristics", [(grid.cells, partial(exact, tolerance)) for tolerance in TOLERANCES]
 
 
 def _distance(q: Array, other: Array, grid: Grid) -> float:

@@ -18,19 +18,23 @@ from typing import Any
 import numpy as np
 
 from hjprofile.errors import InputError, RunError
-from hjprofile.problem import LAYER_METHOD, OFF_GRID, Problem
+from hjprofile.problem import Problem
 from hjprofile.problem.case import Case, load_case
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import bumps
 from hjprofile.problem.ranges import instance
-from hjprofile.solvers.characteristics.shock_fitting import solve_characteristics
-from hjprofile.solvers.fronts.front_tracking import track_fronts
-from hjprofile.solvers.methods import solve_conservative, solve_hj
+from hjprofile.solvers.method import Form, requirements
+from hjprofile.solvers.methods import METHODS, find_method
 from hjprofile.solvers.run import Run
+from hjprofile.solvers.solve import solve_characteristics, solve_conservative, solve_with, track_fronts
+from hjprofile.solvers.stop import ROBUST_METHOD
 from hjprofile.studies.accuracy import Comparison, compare, observed_order
 from hjprofile.studies.records import EPS, QUIET, Check, records
 
-HJ_METHODS = ("lax-friedrichs", "local-lax-friedrichs", "godunov")
+# Of first order for u, of which orders are measured; `telescoping` balances the volume by itself
+CONVERGING = tuple(
+    name for name, method in METHODS.items() if method.form is Form.HEIGHT and method.flux and name != "telescoping"
+)
 LEAST_CELLS, MOST_CELLS = 2000, 4000  # of the finest grid; orders read on coarser ones mislead
 
 ROUNDING = 1e-10  # of volumes and distances
@@ -122,16 +126,17 @@ def check_consistency(
     steep = problem.law.grows_linearly
     finest = min(max(grid.cells, LEAST_CELLS), MOST_CELLS) // 8 * 8
     ladder = [finest // 8, finest // 4, finest // 2, finest]
-    ordered = ("telescoping", "conservative") if steep else (*HJ_METHODS, "conservative")
+    ordered = ("telescoping", "conservative") if steep else (*CONVERGING, "conservative")
     plan = [(m, n) for m in ordered for n in ladder]
-    carried = () if steep else HJ_METHODS
+    carried = () if steep else CONVERGING
     plan += [(m, finest) for m in ("telescoping", *(f"conservative-{m}" for m in (*carried, "telescoping")))]
-    plan += [] if method in (None, *OFF_GRID, LAYER_METHOD) else [(method, finest)]
+    chosen = find_method(method) if method else None
+    if chosen and chosen.on_grid and chosen.supports >= requirements(problem, refresh):
+        plan.append((chosen.name, finest))
     plan = list(dict.fromkeys(plan))
     runs: Runs = {}
     for i, (name, cells) in enumerate(plan):
-        solve = solve_conservative if name.startswith("conservative") else solve_hj
-        runs[name, cells] = solve(problem, replace(grid, cells=cells), name, cfl, refresh=refresh)
+        runs[name, cells] = solve_with(METHODS[name], problem, replace(grid, cells=cells), cfl, refresh=refresh)
         if progress:
             progress((i + 1) / len(plan))
     checks = [*_completed(runs)]
@@ -233,7 +238,7 @@ def _identity(runs: Runs, finest: int, method: str) -> Check:
 def _independence(ladders: dict[str, Ladder], resolved: bool) -> Iterator[Check]:
     """Compare each Hamilton-Jacobi method with the second-order conservative one, which shares nothing with it."""
     other = ladders["conservative"]
-    for method in (m for m in ladders if m in HJ_METHODS):
+    for method in (m for m in ladders if m in CONVERGING):
         one = ladders[method]
         apart = [compare(a, b) for a, b in zip(one.runs, other.runs, strict=True)]
         for name, norm in (("q", "slope_l1"), ("u", "height_l1")):
@@ -275,8 +280,9 @@ def _third_witness(ladders: dict[str, Ladder], problem: Problem, grid: Grid, res
         estimate = (exact.error_estimate or 0.0) * float(np.ptp(exact.x))
         if witnesses:
             away = [compare(f, exact).height_l1 for f in tracked]
-            yield _within(
-                "characteristics:fronts:u", [*FRONTS], away, fronts_estimate + estimate, True, max(steps) < 1.0
+            allowed = fronts_estimate + estimate
+            yield _within("characteristics:fronts:u", [*FRONTS], away, allowed, True, max(steps) < 1.0)._replace(
+                unit="fronts"
             )
         witness = exact
     elif witnesses:
@@ -284,7 +290,7 @@ def _third_witness(ladders: dict[str, Ladder], problem: Problem, grid: Grid, res
     else:
         return
     yield from records(witness, problem, None, f":{witness.method}")
-    for method in ("godunov", "telescoping", "conservative"):
+    for method in (ROBUST_METHOD, "telescoping", "conservative"):
         if one := ladders.get(method):
             away = [compare(run, witness).height_l1 for run in one.runs]
             sound = one.converges or not any(o.converges for o in ladders.values() if o.method != "conservative")
@@ -318,7 +324,7 @@ def _budgets(runs: Runs, ladders: dict[str, Ladder], resolved: bool) -> Iterator
     """Compare the eroded volume with ∫(K(left) - 1) dt: equal to rounding, or with an error that converges."""
     for method, one in ladders.items():
         error = [r.volume_budget_error for r in one.runs]
-        if method not in HJ_METHODS and max(error) <= ROUNDING:
+        if method not in CONVERGING and max(error) <= ROUNDING:
             yield _bounded(f"budget:{method}", one.cells[-1], error[-1], ROUNDING, "to rounding")
         else:
             estimate = _richardson([abs(a - b) for a, b in pairwise(error)])

@@ -28,14 +28,16 @@ from hjprofile.problem.coefficient import Coefficient, tabulated
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.ranges import instance
-from hjprofile.solvers.grids.hamilton_jacobi import scheme
 from hjprofile.solvers.grids.scheme import MOST_STEPS
-from hjprofile.solvers.methods import solve_hj
+from hjprofile.solvers.method import Feature, require, requirements
+from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.run import Array, Breakdown, Halt, Run
+from hjprofile.solvers.solve import solve_hj
+from hjprofile.solvers.stop import ROBUST_METHOD
 from hjprofile.studies.accuracy import observed_order
 from hjprofile.studies.fractional import fractional_steps
 
-METHOD = "godunov"
+METHOD = ROBUST_METHOD  # a monotone one: the contractions of the theory hold for it too
 CELLS = 1000
 MOMENTS = 41  # saved times, ends included, over which E is integrated
 SIZES = (0.3, 0.03, 0.003)  # of a disturbance, as a part of ‖q‖₁ (of 1 where that is smaller)
@@ -78,20 +80,12 @@ def dependence(
 ) -> list[Distance]:
     """Disturb the problem's profile, then its coefficient, and measure the distances of the solutions.
 
-    The method is `godunov` on CELLS cells: the contractions of the theory hold for a monotone scheme too. Raises
-    InputError if a flux enters, if no time passes, or if the slope is critical at all saved times except the first.
-    Raises RunError if a run stops.
+    The method is METHOD on CELLS cells. Raises InputError if a flux enters, if no time passes, or if the slope is
+    critical at all saved times except the first. Raises RunError if a run stops.
     """
     instance("problem", problem, Problem)
     instance("grid", grid, Grid)
-    try:
-        problem.check_method(METHOD)
-    except InputError as error:
-        raise InputError(f"{case}: disturbed slopes are followed by {METHOD}, and {error}") from None
-    if problem.line == "whole":
-        raise InputError(f"{case}: dependence is of the half line; it cannot take line = 'whole'")
-    if problem.profile.inflow:
-        raise InputError(f"{case}: something flows in at the left end; dependence needs a profile with q = 0 there")
+    require(f"{case}: the study of dependence", {Feature.COEFFICIENT}, requirements(problem))
     if not problem.end > 0.0:
         raise InputError(f"{case}: no time passes; dependence needs an end above 0")
     study = _Study(case, replace(problem, snapshots=MOMENTS), Grid(grid.left, CELLS))
@@ -118,7 +112,9 @@ def solve_together(first: Problem, second: Problem, grid: Grid) -> tuple[Path, P
 
     They share their saved times. Raises Breakdown or Halt if one of them cannot go on.
     """
-    schemes = [scheme(problem, grid, METHOD) for problem in (first, second)]
+    setup = METHODS[METHOD].setup
+    assert setup is not None
+    schemes = [setup.scheme(problem, grid, None) for problem in (first, second)]
     rows: list[tuple[list[Array], list[Array]]] = [([], []), ([], [])]
     t = 0.0
 

@@ -13,8 +13,9 @@ from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.lists import numbers
 from hjprofile.problem.ranges import instance
-from hjprofile.solvers.methods import HJ_METHODS, solve_conservative, solve_hj
+from hjprofile.solvers.methods import find_method
 from hjprofile.solvers.run import Run
+from hjprofile.solvers.solve import solve_with
 from hjprofile.studies.accuracy import compare, observed_order
 
 TIMES = 6  # over which errors are taken, with both ends
@@ -59,8 +60,7 @@ def fractional_steps(
     lengths = sorted(numbers("refresh", parts if refresh is None else refresh).tolist(), reverse=True)
 
     def solved(length: float | None) -> Run:
-        solver = solve_hj if method in HJ_METHODS else solve_conservative
-        run = solver(problem, grid, method, refresh=length)
+        run = solve_with(find_method(method), problem, grid, refresh=length)
         if not run.done:
             raise RunError(f"{method} with refresh = {length}: {run.status}")
         return run

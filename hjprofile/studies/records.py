@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hjprofile.problem import OFF_GRID, Problem
+from hjprofile.problem import Problem
+from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.run import Array, KinkRecord, Run
 
 EPS = float(np.finfo(float).eps)
-MIDPOINT = ("lax-friedrichs", "local-lax-friedrichs", "godunov", "telescoping", "conservative")  # rule for ln K
 UNDERFLOW = float(np.log(np.finfo(float).tiny))  # of ln K: smaller K have no full precision, or are 0
 TABLE = 1e-9  # accuracy of a tabulated law in ln K and in speeds: measured 2e-11
 QUIET = ("bounds:", "saved-")  # comparisons that are printed only if they fail
@@ -31,11 +31,12 @@ class Check(NamedTuple):
     passes: bool
     rule: str
     resolved: bool = True
+    unit: str = "cells"  # of what `cells` are numbers
 
     def line(self) -> str:
         """Return the line that is printed."""
         order = f"order {self.order:.2f}, " if self.order is not None else ""
-        cells = f" on {self.cells[-1]} {'fronts' if ':fronts:' in self.name else 'cells'}"
+        cells = f" on {self.cells[-1]} {self.unit}"
         verdict = ("passes" if self.resolved else "unclear") if self.passes else "FAILS"
         return f"{verdict:7} {self.name:36} {order}{self.error[-1]:.2g}{cells}  ({self.rule})"
 
@@ -52,7 +53,7 @@ def records(run: Run, problem: Problem, refresh: float | None, suffix: str) -> I
     yield _most("kinks", suffix, run, *_speeds(run, problem), "K [f]/[q] and [q] with the saved K")
     faults = float(sum(1 for _ in _impossible(run, problem)))
     yield _most("events", suffix, run, np.array([faults]), 0.0, "histories of kinks agree with their events")
-    if run.method not in OFF_GRID and not problem.thickness and run.time[0] == 0.0 and run.time[-1] == problem.end:
+    if not _off_grid(run) and not problem.thickness and run.time[0] == 0.0 and run.time[-1] == problem.end:
         lowered = run.u[0, -1] - run.u[-1, -1] - run.outflow
         yield _most(
             "outflow", suffix, run, np.abs(lowered), rounding + 1e-9 * abs(run.outflow), "lowering of the crest"
@@ -61,6 +62,17 @@ def records(run: Run, problem: Problem, refresh: float | None, suffix: str) -> I
     moved = 2.0 * dx * np.abs(run.u[0] - run.u[-1]).max() + rounding
     if run.time[0] == 0.0 and run.time[-1] == problem.end:
         yield _most("volume", suffix, run, np.abs(volume), moved, "the integral of u(0, x) - u(t, x), to first order")
+
+
+def _off_grid(run: Run) -> bool:
+    method = METHODS.get(run.method)  # closed forms have none
+    return method is not None and not method.on_grid
+
+
+def _by_midpoints(run: Run) -> bool:
+    """Whether ln K is the integral of f of the cell means."""
+    method = METHODS.get(run.method)
+    return method is not None and method.midpoint
 
 
 def _most(what: str, suffix: str, run: Run, off: Array, allowed: Array | float, rule: str) -> Check:
@@ -97,7 +109,7 @@ def _factor(run: Run, problem: Problem, refresh: float | None) -> tuple[Array, A
     right = np.zeros((len(f), 1))
     integral = dx * np.hstack([np.cumsum(f[:, ::-1], axis=1)[:, ::-1], right])
     off = np.abs(ln_K - np.maximum(at_right + integral, UNDERFLOW))
-    if run.method.removeprefix("conservative-") in MIDPOINT:
+    if _by_midpoints(run):
         return off, TABLE * (1.0 + np.abs(ln_K).max(initial=0.0))
     # any rule with f between the values in its stencil differs by at most the variation of f there: weno5 takes 3 cells
     # on either side
@@ -115,8 +127,7 @@ def _log(K: Array) -> Array:
 def _speeds(run: Run, problem: Problem) -> tuple[Array, Array]:
     """Return relative deviations of jumps and Rankine-Hugoniot speeds; off the grid K varies within a cell."""
     off, allowed = [], []
-    exact = run.method in OFF_GRID
-    midpoint = run.method.removeprefix("conservative-") in MIDPOINT
+    exact, midpoint = _off_grid(run), _by_midpoints(run)
     dx = float(np.ptp(run.x)) / run.cells
     for i in range(run.time.size):
         for k in run.kinks_at(i):

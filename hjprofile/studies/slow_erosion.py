@@ -9,11 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.errors import RunError
-from hjprofile.problem import LAYER_METHOD, Problem
+from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.lists import numbers
 from hjprofile.problem.ranges import instance
-from hjprofile.solvers.methods import solve_conservative
+from hjprofile.solvers.method import Feature
+from hjprofile.solvers.methods import METHODS
+from hjprofile.solvers.solve import solve_with
 
 
 class Departure(NamedTuple):
@@ -37,9 +39,10 @@ def slow_erosion(problem: Problem, grid: Grid, thicknesses: Sequence[float], cfl
     The limit itself comes first, with the thickness 0. Raises RunError if a run stops early.
     """
     instance("problem", problem, Problem)
+    (method,) = (m for m in METHODS.values() if Feature.LAYER in m.supports)
     departures, limit = [], None
     for thickness in (0.0, *numbers("thickness", thicknesses).tolist()):
-        run = solve_conservative(replace(problem, thickness=thickness), grid, LAYER_METHOD, cfl)
+        run = solve_with(method, replace(problem, thickness=thickness), grid, cfl)
         if not run.done:
             raise RunError(f"thickness = {thickness:g}: {run.status}")
         limit = limit or run

@@ -7,7 +7,7 @@ data carry a sawtooth far below everything else, so that what is unstable shows 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -17,13 +17,17 @@ from hjprofile.errors import InputError
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.ranges import instance
-from hjprofile.solvers.grids import conservation
-from hjprofile.solvers.grids import hamilton_jacobi as hj
-from hjprofile.solvers.grids.bounds_monitor import HIGHER_ORDER, LOCAL, MONOTONE, TELESCOPING, BoundsMonitor, Promises
+from hjprofile.solvers.grids.bounds_monitor import HIGHER_ORDER, LOCAL, MONOTONE, BoundsMonitor, Promises
+from hjprofile.solvers.grids.conservation import FirstOrder, SecondOrder
+from hjprofile.solvers.grids.flux import Flux
 from hjprofile.solvers.grids.grid_law import GridLaw, grid_law
+from hjprofile.solvers.grids.hamilton_jacobi import HamiltonJacobi, HighOrderHamiltonJacobi
 from hjprofile.solvers.grids.high_order import ssp_rk2
 from hjprofile.solvers.grids.scheme import Scheme
+from hjprofile.solvers.method import Form, Method, require, requirements
+from hjprofile.solvers.methods import FLUXES, METHODS
 from hjprofile.solvers.run import Array, Breakdown, State
+from hjprofile.solvers.stop import ROBUST_METHOD
 
 CELLS = 400
 STEPS = 6000  # at most in a trial
@@ -73,13 +77,13 @@ class _Data:
         return np.concatenate([[0.0], np.cumsum(self.q) * self.grid.dx])
 
 
-class _Laboratory(conservation.FirstOrder):
+class _Laboratory(FirstOrder):
     """The plain schemes for q with what nobody should ask of them: any viscosity, stale K, edges without a limiter."""
 
     def __init__(
-        self, data: _Data, flux: str = "godunov", viscosity: float = 1.0, refresh: int = 1, edges: str = "monotone"
+        self, data: _Data, flux: str = ROBUST_METHOD, viscosity: float = 1.0, refresh: int = 1, edges: str = "monotone"
     ):
-        super().__init__(data.law, data.grid, data.q, 0.0, 0.0, conservation.FLUXES[f"conservative-{flux}"])
+        super().__init__(data.law, data.grid, data.q, 0.0, 0.0, FLUXES[flux])
         self.viscosity, self.refresh, self.edges = viscosity, refresh, edges
         self.taken = 0
         self.stale = self.K
@@ -113,7 +117,7 @@ class _Laboratory(conservation.FirstOrder):
             right = left
             if not np.min(left) > -1.0:
                 raise Breakdown(left, self.K)
-        F, _ = self.flux(self.law, dx, left, right, K, self.viscosity * bound)
+        F, _ = self.flux.twin(self.law, dx, left, right, K, self.viscosity * bound)
         return -np.diff(F, prepend=0.0) / dx
 
 
@@ -125,18 +129,7 @@ def stability(case: str, problem: Problem, grid: Grid, progress: Callable[[float
     """
     instance("problem", problem, Problem)
     instance("grid", grid, Grid)
-    problem.check_method("")
-    if problem.line == "whole":
-        raise InputError(f"{case}: a scan is of the half line; set line = 'half'")
-    if problem.profile.inflow:
-        raise InputError(f"{case}: something flows in at the left end; a scan needs a profile with q = 0 there")
-    if problem.coefficient is not None:
-        raise InputError(f"{case}: a scan varies the nonlocal factor; it says nothing about a prescribed coefficient")
-    if problem.law.grows_linearly:
-        raise InputError(
-            f"{case}: the law grows linearly, so that slopes have no bound to be kept; "
-            "a scan needs a law of sublinear growth"
-        )
+    require(f"{case}: the scan of stability", (), requirements(problem))
     grid = Grid(grid.left, CELLS)
     q = np.diff(problem.profile.W(grid.nodes, problem.law)) / grid.dx
     if not problem.end > 0.0 or not np.abs(q).max() > 0.0:
@@ -156,10 +149,10 @@ Row = tuple[str, str, float | str, str, str, float]  # a Trial without its case
 
 def _cfl(data: _Data) -> Iterator[Row]:
     """Every method over CFL numbers, and bisection for the limit of those that are monotone."""
-    for method, (make, promises, theory) in _methods().items():
+    for method, promises in _methods():
 
         def attempt(number: float) -> tuple[str, str]:
-            return _attempt(make(data), data, number, promises, _flux_type(method))  # noqa: B023
+            return _attempt(_scheme(method, data), data, number, promises, _judged_by(method))  # noqa: B023
 
         tried = {number: attempt(number) for number in CFL}
         broken = [n for n in CFL if tried[n][0] != HOLDS]
@@ -171,7 +164,7 @@ def _cfl(data: _Data) -> Iterator[Row]:
                 tried[middle] = attempt(middle)
                 low, high = (middle, high) if tried[middle][0] == HOLDS else (low, middle)
         for number in sorted(tried):
-            yield method, "cfl", number, *tried[number], theory
+            yield method.name, "cfl", number, *tried[number], method.cfl_proved
 
 
 def _viscosity(data: _Data) -> Iterator[Row]:
@@ -179,53 +172,54 @@ def _viscosity(data: _Data) -> Iterator[Row]:
     for number in VISCOSITY_AT:
         for share in VISCOSITY:
             scheme = _Laboratory(data, "lax-friedrichs", viscosity=share)
-            outcome, detail = _attempt(scheme, data, number, MONOTONE, _flux_type("lax-friedrichs"), share)
+            outcome, detail = _attempt(scheme, data, number, MONOTONE, FLUXES["lax-friedrichs"], share)
             yield "lax-friedrichs", f"viscosity at cfl {number:g}", share, outcome, detail, 1.0
 
 
 def _refresh(data: _Data) -> Iterator[Row]:
     """Stale K moves kinks at a wrong speed: the scheme stays monotone, and the eroded volume tells."""
     for steps in REFRESH:
-        scheme = _Laboratory(data, "godunov", refresh=steps)
+        scheme = _Laboratory(data, refresh=steps)
         before = scheme.volume()
         outcome, detail = _attempt(scheme, data, SAFE, MONOTONE)
         off = abs(before - scheme.volume() - scheme.growth)
-        yield "godunov", "refresh", float(steps), outcome, f"{detail}; volume off by {off:.3g}", np.nan
+        yield ROBUST_METHOD, "refresh", float(steps), outcome, f"{detail}; volume off by {off:.3g}", np.nan
 
 
 def _reconstruction(data: _Data) -> Iterator[Row]:
     for edges in ("monotone", "limited", "unlimited", "central"):
-        scheme = _Laboratory(data, "godunov", edges=edges)
+        scheme = _Laboratory(data, edges=edges)
         promises = MONOTONE if edges == "monotone" else HIGHER_ORDER
-        yield "godunov", "reconstruction", edges, *_attempt(scheme, data, 0.5 * SAFE, promises), np.nan
+        yield ROBUST_METHOD, "reconstruction", edges, *_attempt(scheme, data, 0.5 * SAFE, promises), np.nan
 
 
 def _smallness(data: _Data) -> Iterator[Row]:
     """A hollow a twentieth of the domain wide, for each method."""
     n = data.q.size
-    for method, (make, promises, _) in _methods().items():
+    for method, promises in _methods():
         for p in SMALLEST:
             q = data.q.copy()
             q[n // 2 : n // 2 + n // 20] = p - 1.0
             hollow = _Data(data.problem, data.grid, q, data.end)
             # MUSCL-Hancock takes K half a step ahead by 1 + ½ f dx, which must stay positive
             limit = np.nan
-            if method == "conservative":
+            if method.name == "conservative":
                 tries = np.geomspace(1e-6, 1.0, 400)
                 limit = float(tries[np.searchsorted(data.problem.law.f(tries - 1.0) * data.grid.dx, -2.0)])
-            yield method, "least 1 + q", p, *_attempt(make(hollow), hollow, SAFE, promises), limit
+            yield method.name, "least 1 + q", p, *_attempt(_scheme(method, hollow), hollow, SAFE, promises), limit
 
 
 def _exponents(data: _Data) -> Iterator[Row]:
     """The same slopes on a longer grid: ln K grows with it."""
     exponent = np.abs(np.cumsum(data.law.f(data.q)[::-1])).max() * data.grid.dx
-    for method, (make, promises, _) in _methods().items():
+    for method, promises in _methods():
         for most in EXPONENTS:
             stretch = float(most / exponent)
             grid = Grid(stretch * data.grid.left, CELLS)
             # until the first kink has crossed a few cells: where K is large that is soon
             longer = _Data(data.problem, grid, data.q, 20.0 * stretch * data.grid.dx * float(np.exp(-min(most, 700.0))))
-            yield method, "largest |ln K|", most, *_attempt(make(longer), longer, SAFE, promises), HIGHEST_EXPONENT
+            outcome, detail = _attempt(_scheme(method, longer), longer, SAFE, promises)
+            yield method.name, "largest |ln K|", most, outcome, detail, HIGHEST_EXPONENT
 
 
 def _truncation(data: _Data) -> Iterator[Row]:
@@ -245,44 +239,42 @@ def _truncation(data: _Data) -> Iterator[Row]:
         if outcome == HOLDS and differs.size:
             reach = float(part.grid.nodes[differs[-1] + 1])
             outcome, detail = LOSES, f"q is wrong from x = {x:.4g} to {reach:.4g}: what lies left of the grid is lost"
-        yield "godunov", "left end", x, outcome, detail, float(data.grid.nodes[start])
+        yield ROBUST_METHOD, "left end", x, outcome, detail, float(data.grid.nodes[start])
 
 
-Make = Callable[[_Data], Scheme]
+def _scheme(method: Method, data: _Data) -> Scheme:
+    """The scheme of a method for cell means that belong to no profile."""
+    if method.flux:
+        return HamiltonJacobi(data.law, data.grid, data.W, method.flux)
+    if method.form is Form.SLOPE:
+        return SecondOrder(data.law, data.grid, data.q, 0.0, 0.0)
+    return HighOrderHamiltonJacobi(data.law, data.grid, data.W, method.name, 0.0)
 
 
-def _methods() -> dict[str, tuple[Make, Promises, float]]:
-    """Return, for every method on a grid, its setup, its bounds, and its largest CFL number for any data by theory."""
-
-    def first_order(flux: str) -> Make:
-        return lambda data: hj.HamiltonJacobi(data.law, data.grid, data.W, hj.FLUXES[flux])
-
-    return {
-        "godunov": (first_order("godunov"), MONOTONE, 1.0),
-        "telescoping": (first_order("telescoping"), TELESCOPING, 1.0),
-        "local-lax-friedrichs": (first_order("local-lax-friedrichs"), LOCAL, 2 / 3),  # 1 where q does not jump down
-        "lax-friedrichs": (first_order("lax-friedrichs"), LOCAL, 2 / 3),
-        "conservative": (lambda d: conservation.SecondOrder(d.law, d.grid, d.q, 0.0, 0.0), HIGHER_ORDER, 1.0),
-        "eno2": (lambda d: hj.HighOrderHamiltonJacobi(d.law, d.grid, d.W, "eno2", 0.0), HIGHER_ORDER, 0.5),
-        "weno5": (lambda d: hj.HighOrderHamiltonJacobi(d.law, d.grid, d.W, "weno5", 0.0), HIGHER_ORDER, np.nan),
-    }
+def _methods() -> list[tuple[Method, Promises]]:
+    """Every method on a grid that has its own scheme, and the bounds that are watched."""
+    own = [method for method in METHODS.values() if method.on_grid and not method.carries]
+    assert all(method.setup for method in own)
+    # a viscosity that changes from step to step keeps no frozen step's promises here
+    return [(m, LOCAL if m.flux and m.flux.viscous else m.setup.promises) for m in own]  # type: ignore[union-attr]
 
 
-def _flux_type(method: str) -> type[hj.Flux] | None:
-    return hj.FLUXES[method] if method in ("godunov", "telescoping", "lax-friedrichs") else None
+def _judged_by(method: Method) -> Flux | None:
+    """The flux of frozen steps; a local viscosity keeps no order of states."""
+    promises = method.setup.promises if method.setup else {}
+    return method.flux if promises.get("kruzkov") else None
 
 
 @np.errstate(all="ignore")
 def _attempt(
-    scheme: Scheme, data: _Data, number: float, promises: Promises, flux: type[hj.Flux] | None = None,
+    scheme: Scheme, data: _Data, number: float, promises: Promises, flux: Flux | None = None,
     viscosity: float = 1.0, saw: float = SAWTOOTH, steps: int = STEPS, speed: float = 0.0,
 ) -> tuple[str, str]:  # fmt: skip
     """Outcome and detail of steps of one CFL number; `speed` is used in place of a smaller max K f'."""
     grid, t = data.grid, 0.0
     _roughen(scheme, saw)
-    bounds = BoundsMonitor(
-        data.problem.law, grid, scheme.W, 0.0, data.end, promises, flux if viscosity >= 1.0 else None
-    )
+    problem = replace(data.problem, end=data.end, snapshots=1)
+    bounds = BoundsMonitor(problem, grid, scheme.W, promises, flux if viscosity >= 1.0 else None)
     taken, oscillates = 0, ""
     try:
         while True:

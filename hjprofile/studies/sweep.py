@@ -16,8 +16,8 @@ from hjprofile.errors import InputError, RunError, by_last_part, did_you_mean
 from hjprofile.problem.case import Case, find_case, parse_case, read_case
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.identity import digest_of
-from hjprofile.solvers.methods import check_method, solve_case
 from hjprofile.solvers.run import Array, Run
+from hjprofile.solvers.solve import check_case, solve_case
 
 MOST = 100_000  # members; each is built before the first is run
 _UNREAD = ("title", "output", "expect")  # what of a case does not change its run
@@ -148,7 +148,7 @@ def _member(path: Path, content: Mapping[str, Any], values: Mapping[str, Any]) -
     member = Member(tuple(values.values()), tables, path.stem, str(path), path.resolve().parent)
     try:
         case = parse_case(tables, path.stem, str(path), member.base)
-        check_method(case)
+        check_case(case)
     except InputError as error:
         return member._replace(refused=str(error))
     return member._replace(grid=case.grid, identity=digest_of(case))

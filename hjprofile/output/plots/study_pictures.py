@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -10,24 +11,20 @@ from matplotlib.ticker import LogFormatter, NullFormatter
 
 from hjprofile.output.plots import style
 from hjprofile.output.plots.style import DEPOSITED, ERODED, new_figure, png
+from hjprofile.solvers.methods import METHODS
 from hjprofile.studies.calibration import Calibration
 from hjprofile.studies.chart import Point, Reference, pareto
 from hjprofile.studies.dependence import Distance, largest_distances, observed_constant
 from hjprofile.studies.stability import FAILS, HOLDS, LOSES, OSCILLATES, Trial
 
-# method -> colour and marker; a form's carried-over fluxes share its colour and are drawn lightly. Okabe and Ito's
-# colours can be told apart without green and red.
-_LOOKS = {
-    "local-lax-friedrichs": ("#E69F00", "o"),
-    "lax-friedrichs": ("#999999", "o"),
-    "godunov": ("#56B4E9", "o"),
-    "telescoping": ("#CC79A7", "o"),
-    "eno2": ("#009E73", "s"),
-    "weno5": ("#000000", "D"),
-    "conservative": ("#0072B2", "s"),
-    "fronts": ("#D55E00", "^"),
-    "characteristics": ("#B8A800", "*"),
-}
+# Okabe and Ito's colours can be told apart without green and red; a form's carried-over fluxes share its colour and are
+# drawn lightly. In the order of the table of methods, closing again where that is longer.
+_PALETTE = (
+    ("#999999", "o"), ("#E69F00", "o"), ("#56B4E9", "o"), ("#CC79A7", "o"), ("#009E73", "s"), ("#000000", "D"),
+    ("#0072B2", "s"), ("#D55E00", "^"), ("#B8A800", "*"),
+)  # fmt: skip
+_DRAWN = [method.name for method in METHODS.values() if not method.carries and not method.needs_tolerance]
+_LOOKS = dict(zip(_DRAWN, cycle(_PALETTE), strict=False))
 
 
 @style.defaults
@@ -50,8 +47,8 @@ def draw_chart(charts: Mapping[str, tuple[Sequence[Point], Reference]]) -> Figur
         ):
             for method in dict.fromkeys(p.method for p in points):
                 mine = [(p.seconds, max(getattr(p, error), 1e-16)) for p in points if p.method == method]
-                carried = method not in _LOOKS
-                colour, marker = _LOOKS[method.removeprefix("conservative-") if carried else method]
+                carried = METHODS[method].carries
+                colour, marker = _LOOKS[carried or method]
                 light = {"alpha": 0.35, "mfc": "none", "ls": ":"} if carried else {}
                 name = "the same, conservative-..." if carried else method
                 known = name in axes.get_legend_handles_labels()[1]

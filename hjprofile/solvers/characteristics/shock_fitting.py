@@ -13,11 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from hjprofile.errors import InputError
 from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid
-from hjprofile.problem.ranges import as_number, shown
 from hjprofile.solvers.characteristics.label_events import FINE
 from hjprofile.solvers.characteristics.moving_labels import Lost, MovingLabels
 from hjprofile.solvers.characteristics.panels import Panels, cut_into_panels, interpolation
@@ -27,7 +25,6 @@ from hjprofile.solvers.run import Array, KinkRecord, Run, in_order
 from hjprofile.solvers.snapshot_bounds import BOUNDS, SnapshotBounds
 from hjprofile.solvers.stop import Stop, Stopped, Time
 from hjprofile.solvers.units_of_the_law import Units, in_units_of_the_law
-from hjprofile.solvers.whole_line import also_on_the_whole_line
 
 TOLERANCE = 1e-12
 FINEST, COARSEST = 1e-13, 1e-4  # that may be asked for: finer is rounding
@@ -41,29 +38,15 @@ BY_FRONTS = "use the method fronts"
 ROUNDING = 1e-14  # of W of order 1, after some hundred steps; measured 7e-14 at most on the rational closed forms
 
 
-@also_on_the_whole_line
 def solve_characteristics(
     problem: Problem,
-    grid: Grid | None = None,
+    grid: Grid,
     tolerance: float | None = None,
     progress: Callable[[float], None] | None = None,
     patience: float = np.inf,
 ) -> Run:
-    """Solve by shock-fitted characteristics, with steps and panels to `tolerance`, and read the result on a grid.
-
-    The method is in theory, §5; the tolerance is 1e-12 by default. A second run with a coarser tolerance gives
-    `error_estimate`, the error of u over the whole run. The grid is by default 2000 cells over the profile. `patience`
-    is the largest work in counted seconds, the same on every machine. If the method cannot go on, `status` gives time,
-    position and reason, and the last saved time is the last good one. Raises InputError for bad input or a flux at the
-    left end, RunError if the data cannot be cut.
-    """
-    asked, tolerance = tolerance, TOLERANCE if tolerance is None else as_number(tolerance)
-    if not FINEST <= tolerance <= COARSEST:
-        raise InputError(f"tolerance = {shown(asked)} must lie between {FINEST:g} and {COARSEST:g}")
-    if problem.profile.inflow:
-        raise InputError("characteristics need q = 0 at the left end; this profile has a flux that enters there")
-    grid = problem.grid() if grid is None else grid
-    problem.check(grid, "characteristics")
+    """Solves by shock-fitted characteristics on the half line; arguments as for `solve.solve_characteristics`."""
+    asked, tolerance = tolerance, TOLERANCE if tolerance is None else tolerance
     steps = float(np.clip(tolerance / Units.of(problem.law).length, FINEST, STEPS))
     run = _two_runs(problem, grid, steps, progress, patience)
     return replace(run, case=resolved_case(problem, grid, "characteristics", tolerance=asked))

@@ -32,7 +32,6 @@ from hjprofile.solvers.stop import ROBUST_METHOD, Place, Reason, Stop, Stopped, 
 from hjprofile.solvers.units_of_the_law import in_units_of_the_law
 from hjprofile.solvers.vertical_steps.kernels.steps import StepLaw
 from hjprofile.solvers.vertical_steps.step_fronts import KINK, StepTracker, Tracker
-from hjprofile.solvers.whole_line import also_on_the_whole_line
 
 MOST = 1_000_000  # fronts: the time for a run grows with their square
 TIME = 1.0  # times the area of a piece, the largest error that time steps may add: measured, a tenth of that in space
@@ -142,28 +141,14 @@ def _proved(problem: Problem, data: Fronts, tracker: _Tracker | StepTracker) -> 
         return Begun(data, tracker, compare_data(problem, sample, W, np.log(K), data.area))
 
 
-@also_on_the_whole_line
 def track_fronts(
     problem: Problem,
-    grid: Grid | None = None,
+    grid: Grid,
     fronts: int = 1600,
     progress: Callable[[float], None] | None = None,
     exact: bool | None = None,
 ) -> Run:
-    """Solves by tracking `fronts` fronts (more where fans open), and reads the result on a grid (theory, §5).
-
-    Data that are kinks only are solved exactly, whatever `fronts` is. With `exact` the fronts of other data are moved
-    to rounding too: each meets its neighbour in its own time, so that mass and volume are kept to 1e-10, at some fifty
-    times the seconds; the error that comes from the number of fronts stays.
-
-    The grid is by default 2000 cells over the profile. Raises InputError for bad input and for a profile with q != 0 at
-    the left end, and RunError if fronts lose the slope before the first saved time. Where q comes so near to -1 later
-    that a piece is no longer resolved, `status` says so and the last saved time is the last good one.
-    """
-    grid = problem.grid() if grid is None else grid
-    if problem.profile.inflow:
-        raise InputError("front tracking needs q = 0 at the left end; this profile has a flux that enters there")
-    problem.check(grid, "fronts")
+    """Tracks `fronts` fronts on the half line; arguments are those of `solve.track_fronts`."""
     return _in_units(problem, grid, whole("fronts", fronts, 4, MOST), progress, exact)
 
 

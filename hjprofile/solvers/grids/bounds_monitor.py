@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
-from hjprofile.problem.coefficient import Coefficient
-from hjprofile.problem.erosion import ErosionLaw
+from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
+from hjprofile.solvers.grids.flux import Flux
 from hjprofile.solvers.grids.kernels import watch
-from hjprofile.solvers.grids.kernels.wavefront import LaxFriedrichs
 from hjprofile.solvers.run import Array, Halt, State, Verdict
 
 ROUNDING = 1e-10  # relative; some 1e5 steps add up errors of 1e-16 each, at worst all in one direction
@@ -92,11 +90,12 @@ class BoundsMonitor:
     )  # fmt: skip
 
     def __init__(
-        self, law: ErosionLaw, grid: Grid, W: Array, inflow: float, end: float, promises: Promises,
-        flux: Any = None, strict: bool = False, coefficient: Coefficient | None = None, refresh: float | None = None,
+        self, problem: Problem, grid: Grid, W: Array, promises: Promises,
+        flux: Flux | None = None, strict: bool = False, refresh: float | None = None,
     ):  # fmt: skip
+        law, inflow, coefficient = problem.law, problem.profile.inflow, problem.coefficient
         self.law, self.grid, self.inflow, self.flux, self.strict = law, grid, inflow, flux, strict
-        self.pause = self.SHARE * end
+        self.pause = self.SHARE * problem.end
         q, dx = np.diff(W) / grid.dx, grid.dx
         self.mass, self.norm = float(W[-1] - W[0]), dx * float(np.abs(q).sum())
         self.scale = self.norm + 1.0
@@ -122,7 +121,7 @@ class BoundsMonitor:
         self.eroded_volume = self.outflow = self.budget_allowance = 0.0
         self.budget_error = 0.0 if coefficient is None else np.nan
         # sup|F| and TV(F) when they were last seen
-        self.lasting_flux = coefficient is not None and coefficient.steady and flux is not LaxFriedrichs
+        self.lasting = flux if flux and flux.lasting and coefficient is not None and coefficient.steady else None
         self.flux_seen = (np.inf, np.inf)
         self.t = self.rate = self.swell = self.growth_allowed = 0.0
         self.looked, self.froze = 0, -self.FROZEN_STEPS
@@ -183,8 +182,8 @@ class BoundsMonitor:
         if "kruzkov" in self.promises and state.dt > 0.0 and state.steps - self.froze >= self.FROZEN_STEPS:
             self.froze = state.steps
             self._freeze(state, np.exp(ln_K) if state.K is None else state.K, most, place)
-        if "flux_maximum" in self.promises and self.lasting_flux and state.K is not None:
-            F = watch.frozen_step(q, state.K, dx, 0.0, state.law, self.flux(state.bound))[1]
+        if "flux_maximum" in self.promises and self.lasting and state.K is not None:
+            F = watch.frozen_step(q, state.K, dx, 0.0, state.law, self.lasting.kernel(state.bound))[1]
             self._compare(F, *self.flux_seen, float(state.K.max()))
             self.flux_seen = float(np.abs(F).max()), float(np.abs(np.diff(F)).sum())
         return self._judge(state)
@@ -202,7 +201,8 @@ class BoundsMonitor:
         q, dx = state.q, self.grid.dx
         # what moves in the step meets K and f' nearby, and that must not make it longer than the method's own
         nearby = watch.fastest_nearby(q, K, state.law)
-        dt, flux = state.dt * min(state.speed / nearby, 1.0), self.flux(max(state.bound, nearby))
+        assert self.flux is not None
+        dt, flux = state.dt * min(state.speed / nearby, 1.0), self.flux.kernel(max(state.bound, nearby))
 
         def step(y: Array) -> tuple[Array, Array]:
             return watch.frozen_step(y, K, dx, dt, state.law, flux)

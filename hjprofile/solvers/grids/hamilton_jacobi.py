@@ -6,42 +6,28 @@ quotients of W and F the numerical flux, a step is W_i -= Δt F_i (theory, §2).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import MappingProxyType
-
 import numpy as np
 
-from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.grids.factor import Factor
-from hjprofile.solvers.grids.grid_law import GridLaw, grid_law
-from hjprofile.solvers.grids.high_order import ORDERS, HighOrder
+from hjprofile.solvers.grids.flux import Flux
+from hjprofile.solvers.grids.grid_law import GridLaw
+from hjprofile.solvers.grids.high_order import HighOrder
 from hjprofile.solvers.grids.kernels import grid_loops as kernels
 from hjprofile.solvers.grids.kernels import wavefront
 from hjprofile.solvers.grids.scheme import BESIDE
 from hjprofile.solvers.run import Array
 
-Flux = wavefront.LocalLaxFriedrichs | wavefront.LaxFriedrichs | wavefront.Godunov | wavefront.Telescoping
-
-FLUXES: Mapping[str, type[Flux]] = MappingProxyType(
-    {
-        "local-lax-friedrichs": wavefront.LocalLaxFriedrichs,
-        "lax-friedrichs": wavefront.LaxFriedrichs,
-        "godunov": wavefront.Godunov,
-        "telescoping": wavefront.Telescoping,
-    }
-)
-
 
 class HamiltonJacobi:
-    """A first-order scheme for W = u - x with one of FLUXES and forward Euler steps, many of them in one sweep."""
+    """A first-order scheme for W = u - x with a numerical flux and forward Euler steps, many of them in one sweep."""
 
     memory: tuple[str, ...] = ("W", "active", "growth", "outflow")
 
     def __init__(
-        self, law: GridLaw, grid: Grid, W: Array, flux: type[Flux], inflow: float = 0.0, factor: Factor | None = None
+        self, law: GridLaw, grid: Grid, W: Array, flux: Flux, inflow: float = 0.0, factor: Factor | None = None
     ):
-        self.cfl_limit = 2 / 3 if flux is wavefront.LaxFriedrichs else 1.0
+        self.cfl_limit = flux.cfl_limit
         self.law, self.grid, self.flux, self.inflow = law, grid, flux, inflow
         self.factor = factor or Factor(grid)
         self.W, self.before = W.copy(), W.copy()
@@ -68,7 +54,9 @@ class HamiltonJacobi:
         self.before[a : b + 1] = W
         inflow = self.inflow if a == 0 else 0.0
         factor, idle = self.factor.window(self.law, dt * np.arange(steps), a, b)
-        speed, grown = wavefront.hj_pass(W, self.grid.dx, dt, steps, inflow, self.law.kernel, self.flux(bound), factor)
+        speed, grown = wavefront.hj_pass(
+            W, self.grid.dx, dt, steps, inflow, self.law.kernel, self.flux.kernel(bound), factor
+        )
         self.growth += grown
         self.outflow += float(self.before[b] - W[-1])
         self.active = kernels.flat_ends(self.W, a, b, self.W[0], self.W[-1])
@@ -98,14 +86,3 @@ class HighOrderHamiltonJacobi(HighOrder):
 
     def _rate(self, F: Array) -> Array:
         return -F
-
-
-def scheme(
-    problem: Problem, grid: Grid, method: str, refresh: float | None = None
-) -> HamiltonJacobi | HighOrderHamiltonJacobi:
-    """The scheme of that name (a key of FLUXES or ORDERS), set up with the problem's profile."""
-    W = problem.profile.W(grid.nodes, problem.law)
-    law, factor = grid_law(problem.law, np.diff(W) / grid.dx), Factor(grid, problem.coefficient, refresh)
-    if method in ORDERS:
-        return HighOrderHamiltonJacobi(law, grid, W, method, problem.profile.inflow, factor)
-    return HamiltonJacobi(law, grid, W, FLUXES[method], problem.profile.inflow, factor)

@@ -49,13 +49,14 @@ class Order(NamedTuple):
     step: Callable[[Array, Rate, float], Array]
     stages: int
     cfl_limit: float
+    cfl_proved: float  # up to which theory proves the bounds for any data
 
 
 ORDERS: Mapping[str, Order] = MappingProxyType(
     {
-        "eno2": Order(kernels.edges_eno2, False, ssp_rk2, 2, 0.5),
+        "eno2": Order(kernels.edges_eno2, False, ssp_rk2, 2, 0.5, 0.5),
         # monotone for linear data up to 6; smooth waves gain nothing from steps longer than this
-        "weno5": Order(kernels.edges_weno5, True, ssp_rk4, 10, 2.5),
+        "weno5": Order(kernels.edges_weno5, True, ssp_rk4, 10, 2.5, np.nan),
     }
 )
 

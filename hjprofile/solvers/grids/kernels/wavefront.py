@@ -155,11 +155,11 @@ def node_flux(flux, law, l, K, d, d_right, df_right, dx, rows):
     kind = flux.instance_class
     if kind is Godunov:
 
-        def godunov(flux, law, l, K, d, d_right, df_right, dx, rows):
+        def upwind(flux, law, l, K, d, d_right, df_right, dx, rows):
             z, df = eroded(l, d, dx, law, rows[0], rows[1])
             return z, df, K * z, K * df
 
-        return godunov
+        return upwind
     if kind is Telescoping:
 
         def telescoping(flux, law, l, K, d, d_right, df_right, dx, rows):

@@ -1,0 +1,39 @@
+"""What is modelled: exactly one of five, each with what it needs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hjprofile.problem.coefficient import Coefficient
+
+
+@dataclass(frozen=True)
+class SlowErosion:
+    """u_t + K f(u_x - 1) = 0 with K of the slope itself, on the half line x <= 0, under a law of sublinear growth."""
+
+
+@dataclass(frozen=True)
+class Prescribed:
+    """A coefficient k(t, x) in the place of K (theory, §9)."""
+
+    coefficient: Coefficient
+
+
+@dataclass(frozen=True)
+class RollingLayer:
+    """The 2x2 model with a rolling layer, of this flux at the top (theory, §8)."""
+
+    thickness: float
+
+
+@dataclass(frozen=True)
+class WholeLine:
+    """Slow erosion on the whole line, of which the grid is a window (theory, §13)."""
+
+
+@dataclass(frozen=True)
+class LinearGrowth:
+    """Slow erosion under a law of linear growth, where kinks become vertical steps (theory, §14)."""
+
+
+Model = SlowErosion | Prescribed | RollingLayer | WholeLine | LinearGrowth

@@ -1,0 +1,86 @@
+"""One run of a method on a grid: the scheme, what watches it, and the result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple, Protocol
+
+from hjprofile.problem import Problem
+from hjprofile.problem.case import resolved_case
+from hjprofile.problem.grid import Grid
+from hjprofile.problem.ranges import number
+from hjprofile.solvers.data_resolution import cells_resolve
+from hjprofile.solvers.grids.bounds_monitor import BoundsMonitor, Promises
+from hjprofile.solvers.grids.kink_tracker import KinkTracker
+from hjprofile.solvers.grids.march import NOBODY, march
+from hjprofile.solvers.grids.scheme import Scheme
+from hjprofile.solvers.method import Method
+from hjprofile.solvers.run import Keeper, Monitor, Run, State
+
+Progress = Callable[[float], None]
+
+
+class Extension(Protocol):
+    """What a model adds to a run on a grid: monitors, places that the tracker of kinks leaves out, parts of the run."""
+
+    monitors: Mapping[str, Monitor]
+
+    @property
+    def hidden(self) -> Callable[[State], Sequence[tuple[float, float]]]:
+        """The intervals of x at a state that belong to something else than kinks."""
+        ...
+
+    def complete(self, run: Run) -> Run:
+        """Return the run with what the extension has found."""
+        ...
+
+
+class Setup(NamedTuple):
+    """How a problem is set up on a grid: the scheme, the bounds that it keeps, and what its model adds."""
+
+    scheme: Callable[[Problem, Grid, float | None], Scheme]
+    promises: Promises
+    extension: Callable[[Problem, Grid, Scheme], Extension] | None = None
+
+
+def solve_on_grid(
+    problem: Problem, grid: Grid, method: Method, cfl: float, progress: Progress | None,
+    strict: bool = False, keeper: Keeper | None = None, refresh: float | None = None, identity: Mapping = NOBODY,
+) -> Run:  # fmt: skip
+    """Run a method on a grid, watched; `identity` distinguishes a keeper's checkpoints from those of other runs."""
+    cfl, setup = number("cfl", cfl), method.setup_for(problem)
+    scheme = setup.scheme(problem, grid, refresh)
+    bounds = BoundsMonitor(problem, grid, scheme.W, setup.promises, method.flux, strict, scheme.factor.refresh)
+    extension = setup.extension(problem, grid, scheme) if setup.extension else None
+    tracker = KinkTracker(problem.law, grid, extension.hidden) if extension else KinkTracker(problem.law, grid)
+    watching: dict[str, Monitor] = {"bounds": bounds, "kinks": tracker, **(extension.monitors if extension else {})}
+    case = resolved_case(problem, grid, method.name, cfl, refresh=scheme.factor.refresh)
+    record = march(scheme, problem, grid, cfl, watching, progress, tracker.happened, keeper, identity)
+    kinks, events = tracker.result(record.times)
+    u = record.W
+    u += grid.nodes
+    run = Run(
+        title=problem.title,
+        method=method.name,
+        case=case,
+        time=record.times,
+        x=grid.nodes,
+        x_cell=grid.centres,
+        u=u,
+        q=record.q,
+        K=record.K,
+        stop=record.stop,
+        steps=record.steps,
+        step_range=record.step_range,
+        wall_seconds=record.wall_seconds,
+        kinks=kinks,
+        events=events,
+        bounds=bounds.bounds,
+        eroded_volume=bounds.eroded_volume,
+        outflow=bounds.outflow,
+        volume_budget_error=bounds.budget_error,
+        units=problem.profile.units,
+        account=problem.profile.account,
+        cautions=cells_resolve(problem, grid).caution(f"{grid.cells} cells", "more cells, or the method auto"),
+    )
+    return extension.complete(run) if extension else run

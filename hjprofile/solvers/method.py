@@ -1,0 +1,129 @@
+"""What a method is: a value that says how it solves, which bounds it keeps, and which problems it takes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hjprofile.errors import InputError
+from hjprofile.problem import Problem
+from hjprofile.problem.model import LinearGrowth, Prescribed, RollingLayer, SlowErosion, WholeLine
+from hjprofile.problem.ranges import number
+from hjprofile.solvers.run import Run
+
+if TYPE_CHECKING:
+    from hjprofile.solvers.grids.flux import Flux
+    from hjprofile.solvers.grids.grid_run import Setup
+
+MOST_REFRESHES = 1_000_000  # of a factor that is kept for a while, in a run
+
+
+class Form(Enum):
+    """What the unknown of a method is."""
+
+    HEIGHT = "u on the nodes of a grid"
+    SLOPE = "q on the cells of a grid"
+    OFF_GRID = "fronts or characteristics"
+
+
+class Feature(Enum):
+    """What a problem can ask of a method beyond slow erosion of a slope that is critical at its left end."""
+
+    INFLOW = "a profile with a flux that enters at the left end (q is not 0 there)"
+    COEFFICIENT = "a prescribed coefficient"
+    REFRESH = "a factor that is kept for a while (refresh)"
+    LAYER = "a rolling layer (thickness)"
+    WHOLE_LINE = "the whole line (line = 'whole')"
+    LINEAR_GROWTH = "a law with growth = 'linear', under which kinks become vertical steps"
+
+
+_OF_MODEL = {
+    Prescribed: Feature.COEFFICIENT,
+    RollingLayer: Feature.LAYER,
+    WholeLine: Feature.WHOLE_LINE,
+    LinearGrowth: Feature.LINEAR_GROWTH,
+}
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to solve a problem.
+
+    Attributes:
+        name: in case files and in Python.
+        form: of its unknown.
+        supports: features of problems that it takes.
+        setup: of a method on a grid: scheme, bounds and monitors for a problem on a grid.
+        variants: setups in the place of `setup` for problems with that feature.
+        solve: of the others, problem, grid, tolerance or None, progress -> Run.
+        flux: the numerical flux of a first-order method.
+        carries: of a method for q, the method for u whose flux it carries over; "" for none.
+        midpoint: whether ln K is the integral of f of the cell means.
+        cfl_proved: Δt max(K f')/Δx up to which theory proves the bounds for any data; NaN for none.
+        tolerance: the least and the largest tolerance that it takes, if any.
+        needs_tolerance: whether it solves without one.
+    """
+
+    name: str
+    form: Form
+    supports: frozenset[Feature]
+    setup: Setup | None = None
+    variants: Mapping[Feature, Setup] = field(default_factory=lambda: MappingProxyType({}))
+    solve: Callable[..., Run] | None = None
+    flux: Flux | None = None
+    carries: str = ""
+    midpoint: bool = False
+    cfl_proved: float = np.nan
+    tolerance: tuple[float, float] | None = None
+    needs_tolerance: bool = False
+
+    @property
+    def on_grid(self) -> bool:
+        """Whether it is a scheme on a grid."""
+        return self.form is not Form.OFF_GRID
+
+    def setup_for(self, problem: Problem) -> Setup:
+        """Return how a problem is set up on a grid."""
+        found = self.variants.get(_OF_MODEL.get(type(problem.model)), self.setup)  # type: ignore[arg-type]
+        assert found is not None
+        return found
+
+
+def requirements(problem: Problem, refresh: float | None = None) -> frozenset[Feature]:
+    """Return the features that a problem asks for, with a factor that is kept for `refresh` if that is given.
+
+    Raises InputError if the refresh interval is no good for this problem with any method.
+    """
+    found = {_OF_MODEL[type(problem.model)]} if type(problem.model) in _OF_MODEL else set()
+    if problem.profile.inflow:
+        found.add(Feature.INFLOW)
+    if refresh is not None:
+        refresh = number("refresh", refresh)
+        if not problem.end <= MOST_REFRESHES * refresh:
+            raise InputError(
+                f"refresh = {refresh:g} must be at least end / {MOST_REFRESHES:,} = "
+                f"{problem.end / MOST_REFRESHES:g}; leave it out to update the factor in every step"
+            )
+        if not isinstance(problem.model, SlowErosion | Prescribed):
+            (other,) = found & set(_OF_MODEL.values())
+            raise InputError(f"refresh = {refresh:g} does not go together with {other.value}; leave it out")
+        found.add(Feature.REFRESH)
+    return frozenset(found)
+
+
+def require(who: str, supports: Collection[Feature], asked: Collection[Feature], others: Iterable[Method] = ()) -> None:
+    """Raise InputError if a method or a study is asked for features that it does not support.
+
+    `who` begins the sentence, as "the method fronts"; `others` are methods that might.
+    """
+    missing = [feature for feature in Feature if feature in asked and feature not in supports]
+    if not missing:
+        return
+    able = [method.name for method in others if method.supports >= set(asked)]
+    hint = f"; methods that do: {', '.join(able)}" if able else ""
+    raise InputError(f"{who} does not take {' and '.join(feature.value for feature in missing)}{hint}")
