@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import tomli_w
 from bad_cases import BAD, FILES, NOT_TOML, VALID, changed, with_files
+from errors_page import anchors
 from scipy.io import netcdf_file
-from test_errors_page import anchors
 
 from hjprofile.cli import main
 from hjprofile.output.folder import RECORD

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from oracles import kinks_on_the_line
-from test_checkpoint import Stop, case_of, fingerprint
+from stopped_runs import Stop, case_of, fingerprint
 
 import hjprofile as hj
 from hjprofile.output.checkpoint import Checkpoint

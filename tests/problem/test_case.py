@@ -6,10 +6,10 @@ import subprocess
 import sys
 import tomllib
 
-import numpy as np
 import pytest
 import tomli_w
 from bad_cases import BAD, COEFFICIENTS, LAWS, NOT_TOML, PROFILES, REMOVED, VALID, changed, with_files
+from same_problem import same
 
 from hjprofile.errors import InputError
 from hjprofile.problem.case import find_case, load_case, parse_case, resolved_case, shipped_cases
@@ -130,24 +130,6 @@ def test_a_grid_that_fits_no_memory_is_refused_before_anything_is_allocated(fold
     load_case(write(folder, changed({"domain.cells": most})))
     assert "at most 2730 cells" in refusal(write(folder, changed({"domain.cells": most + 1})))
     assert "keep fewer snapshots" in refusal(write(folder, changed({"time.snapshots": 10_000})))
-
-
-def same(one, other, grid):
-    """Whether two problems are one, to the last bit."""
-    assert one.title == other.title
-    assert one.end == other.end
-    assert np.array_equal(one.times, other.times)
-    assert one.law.table == other.law.table
-    q = np.linspace(-0.9, 5.0, 40)
-    assert np.array_equal(one.law.f(q), other.law.f(q))
-    assert np.array_equal(one.profile.W(grid.nodes, one.law), other.profile.W(grid.nodes, other.law))
-    assert one.profile.units == other.profile.units
-    assert one.profile.account == other.profile.account
-    assert one.profile.inflow == other.profile.inflow
-    assert (one.coefficient is None) == (other.coefficient is None)
-    if one.coefficient is not None:
-        t = np.linspace(0.0, one.end, 5)[:, None]
-        assert np.array_equal(one.coefficient.values(t, grid.nodes), other.coefficient.values(t, grid.nodes))
 
 
 @pytest.mark.parametrize("law", LAWS)

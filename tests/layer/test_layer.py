@@ -9,7 +9,7 @@ from bad_cases import changed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import resolved_layer
-from test_checkpoint import Stop, case_of, fingerprint
+from stopped_runs import Stop, case_of, fingerprint
 
 import hjprofile as hj
 from hjprofile.output.checkpoint import Checkpoint
