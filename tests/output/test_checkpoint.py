@@ -17,18 +17,28 @@ from stopped_runs import CONTENT, Stop, case_of, fingerprint
 import hjprofile as hj
 from hjprofile.output.checkpoint import NAME, Checkpoint
 from hjprofile.output.folder import RECORD
+from hjprofile.problem import LAYER_METHOD
 from hjprofile.problem.case import parse_case
 from hjprofile.problem.identity import identity
 from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS, solve_case
 
 KEPT = {"solver__refresh": 0.9}  # a factor that is kept across saved times and checkpoints
 PRESCRIBED = {"coefficient__kind": "expression", "coefficient__expression": "exp(-0.2*x)*(1 + 0.1*t)"}
+LAYER = {"erosion__law": "rational", "layer__thickness": 0.1}
+LINE = {"erosion__law": "rational", "domain__line": "whole", "domain__right": 3.0}
+STEPS = {  # kinks merge, a vertical step begins and leaves at the toe
+    "erosion": {"law": "expression", "expression": "q + q/(1+q)", "growth": "linear"},
+    "profile": {"kind": "kinks", "positions": [-3.0, -2.5], "amplitudes": [3.0, 5.0]},
+    "domain": {"left": -4.0, "cells": 400},
+    "time": {"end": 1.5, "snapshots": 7},
+}
 
 
 @pytest.mark.parametrize(
     ("method", "changes"),
     [(m, {}) for m in (*HJ_METHODS, *CONSERVATIVE_METHODS)]
-    + [("godunov", KEPT), ("eno2", KEPT), ("conservative", PRESCRIBED)],
+    + [("godunov", KEPT), ("eno2", KEPT), ("conservative", PRESCRIBED), (LAYER_METHOD, LAYER), ("conservative", LINE)]
+    + [("telescoping", STEPS)],
 )
 def test_every_method_goes_on_bit_for_bit(method, changes, tmp_path):
     case = case_of(method, **changes)

@@ -5,10 +5,13 @@ import os
 import subprocess
 import sys
 import tomllib
+import warnings
 
+import numpy as np
 import pytest
 import tomli_w
 from bad_cases import BAD, COEFFICIENTS, LAWS, NOT_TOML, PROFILES, REMOVED, VALID, changed, with_files
+from errors_page import anchors
 from same_problem import same
 
 from hjprofile.errors import InputError
@@ -57,13 +60,18 @@ def test_integers_are_numbers(folder):
 
 @pytest.mark.parametrize("name", BAD)
 def test_bad_values_are_refused_by_name(folder, name):
+    """One sentence and a heading of the documentation, without a warning, with numpy as a user has it."""
     changes, section, words = BAD[name]
-    path = write(folder, changed(changes))
-    message = refusal(path)
-    assert message.startswith(f"{path}: {f'[{section}] ' if section else ''}")
+    there = set(folder.iterdir())
+    with np.errstate(all="warn", under="ignore"), warnings.catch_warnings(), pytest.raises(InputError) as refused:
+        warnings.simplefilter("error")
+        parse_case(changed(changes), "scene", "scene.toml", folder)
+    message = str(refused.value)
+    assert message.startswith(f"scene.toml: {f'[{section}] ' if section else ''}")
     assert [w for w in words if w not in message] == []
     assert "\n" not in message
-    assert not (folder / "pwned").exists()
+    assert refused.value.about in anchors()
+    assert set(folder.iterdir()) - there <= {folder / "__pycache__"}  # of the user's Python file
 
 
 @pytest.mark.parametrize("name", NOT_TOML)

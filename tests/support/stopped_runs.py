@@ -17,11 +17,15 @@ CONTENT = {
 
 
 def case_of(method, **changes):
+    """CONTENT by a method, with other values of `section__key` or other tables of `section`."""
     content = {section: dict(v) if isinstance(v, dict) else v for section, v in CONTENT.items()}
     content["solver"] = {"method": method}
     for key, value in changes.items():
-        section, name = key.split("__")
-        content.setdefault(section, {})[name] = value
+        section, _, name = key.partition("__")
+        if name:
+            content.setdefault(section, {})[name] = value
+        else:
+            content[section] = value
     return parse_case(content, "scene", "scene.toml", Path())
 
 
@@ -39,4 +43,5 @@ class Stop:
 
 def fingerprint(run):
     arrays = [getattr(run, name).tobytes() for name in ("time", "u", "q", "K")]
-    return [*arrays, str(run.kinks), str(run.events), str(run.bounds), run.steps, run.step_range, run.status]
+    lists = [str(found) for found in (run.kinks, run.vertical_steps, run.events, run.bounds)]
+    return [*arrays, *lists, run.steps, run.step_range, run.status]

@@ -295,34 +295,6 @@ def test_the_sweeps_thicken_by_the_true_exponential(form):
     assert speed >= np.exp(1.5) * LAW.eta0  # what bounds the step knows it as well
 
 
-def test_a_run_with_steps_goes_on_from_a_checkpoint_bit_for_bit():
-    class Keeper:
-        def __init__(self, stored=None):
-            self.stored, self.kept = stored, []
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *error):
-            return None
-
-        def recall(self, identity):
-            return self.stored
-
-        def due(self):
-            return True
-
-        def keep(self, t, memory):
-            self.kept.append({name: np.array(value) for name, value in memory.items()})
-
-    case = hj.load_case("vertical_step", {"solver.method": "telescoping", "domain.cells": 600, "time.end": 1.5})
-    keeper = Keeper()
-    whole = hj.solve_case(case, keeper=keeper)
-    rest = hj.solve_case(case, keeper=Keeper(keeper.kept[len(keeper.kept) // 2]))
-    assert np.array_equal(whole.u, rest.u) and whole.vertical_steps and whole.events
-    assert whole.vertical_steps == rest.vertical_steps and whole.events == rest.events
-
-
 def test_a_step_is_read_off_its_cell_means():
     """Exact means: all of a step in one cell, so what is read is exact but for the pieces' tables."""
     run, table = hj.track_fronts(two_kinks(0.9, 10), hj.Grid(-4.0, 1000)), step_law(LAW)
