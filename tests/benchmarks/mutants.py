@@ -2,6 +2,7 @@
 
     python tests/benchmarks/mutants.py --count 200 --seed 1 --out mutants.md
     python tests/benchmarks/mutants.py --only hjprofile/studies --count 20 --hours 1
+    python tests/benchmarks/mutants.py --near                     with the tests of one folder only: candidates
     python tests/benchmarks/mutants.py --list --count 20          print the mutants, run nothing
 
 A mutant is a copy of the package in which one expression or statement is changed: an operator, a comparison, `and` for
@@ -311,7 +312,7 @@ def failed_test(folder: Path, arguments: list[str], limit: float) -> str:
     return found[1] if found else f"exit code {code}"
 
 
-def verdict(mutant: Mutant | None) -> str:
+def verdict(mutant: Mutant | None, near: bool = False) -> str:
     """The test that kills a mutant, "" if it survives; without one, of the package as it is."""
     with tempfile.TemporaryDirectory(prefix="mutant-") as temporary:
         folder = Path(temporary)
@@ -324,9 +325,8 @@ def verdict(mutant: Mutant | None) -> str:
         if before and Path(mutant.path).stem not in ("__init__", "disk_cache"):
             keep_what_is_as_it_was(folder, mutant.path, before)
         first = mirror(mutant.path)
-        return failed_test(folder, [first], FIRST_LIMIT) or failed_test(
-            folder, ["tests", f"--ignore={first}"], REST_LIMIT
-        )
+        killer = failed_test(folder, [first], FIRST_LIMIT)
+        return killer if killer or near else failed_test(folder, ["tests", f"--ignore={first}"], REST_LIMIT)
 
 
 def main() -> None:
@@ -337,6 +337,7 @@ def main() -> None:
     parser.add_argument("--hours", type=float, default=float("inf"))
     parser.add_argument("--out", type=Path, default=Path("mutants.md"))
     parser.add_argument("--list", action="store_true")
+    parser.add_argument("--near", action="store_true", help="run the tests of the mirroring folder only")
     parser.add_argument("--unchecked", action="store_true", help="do not run the tests without a mutant first")
     options = parser.parse_args()
 
@@ -352,7 +353,7 @@ def main() -> None:
             print(f"{mutant.path}:{mutant.line}\n    {before}\n    {after}")
             continue
         started = time.monotonic()
-        killer = verdict(mutant)
+        killer = verdict(mutant, options.near)
         count["killed" if killer else "survived"] += 1
         cells = [f"`{cell}`".replace("|", "\\|") for cell in (f"{mutant.path}:{mutant.line}", before, after)]
         cells += [f"`{killer}`".replace("|", "\\|") if killer else "**survived**", f"{time.monotonic() - started:.0f}"]
