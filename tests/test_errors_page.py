@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from bad_cases import VALID, with_files
+from errors_page import ROOT, anchors, page
 
 import hjprofile
 from hjprofile.errors import PAGE
@@ -15,7 +16,6 @@ from hjprofile.problem.case import parse_case
 from hjprofile.solvers.methods import check_method
 
 HOME = Path(hjprofile.__file__).parent
-ROOT = Path(__file__).parent.parent
 SAYING = {"InputError", "RunError", "_leave", "error", "refuse"}  # what is called with a sentence
 ABOUT = {"InputError", "RunError", "error", "_leave"}  # ... and with a heading after it
 # functions whose strings are parts of such sentences
@@ -157,11 +157,6 @@ def sentences(source):
 
 
 @cache
-def page():
-    return (ROOT / PAGE).read_text(encoding="utf-8")
-
-
-@cache
 def shown():
     """What stands on the page between backticks."""
     text = re.sub(r"^```.*?^```", "", page(), flags=re.M | re.S)
@@ -173,12 +168,6 @@ def is_shown(text, part, spans):
     pattern = ".*".join(re.escape(piece) for piece in re.split(f"{ANYTHING}+", text))
     match = re.compile(f".*{pattern}.*" if part else pattern).fullmatch
     return any(match(span) for span in spans)
-
-
-def anchors():
-    """Of the page's headings, as GitHub makes them."""
-    headings = re.findall(r"^#+ (.+)$", re.sub(r"^```.*?^```", "", page(), flags=re.M | re.S), flags=re.M)
-    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
 MODULES = {path.relative_to(HOME).as_posix(): path.read_text(encoding="utf-8") for path in sorted(HOME.rglob("*.py"))}

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 
 import oracles
 
@@ -79,7 +79,7 @@ def fractional_picture() -> dict[str, Fractional]:
 
 
 def orders():
-    """L1(q) against characteristics where all is smooth; see tests/test_coefficient.py."""
+    """L1(q) against characteristics where all is smooth; see tests/grids/test_coefficient.py."""
 
     def k(t, x):
         return np.exp(-0.3 * x) * (1.0 + 0.5 * t * np.exp(-((x + 1.5) ** 2)))

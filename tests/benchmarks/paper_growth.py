@@ -13,7 +13,7 @@ from hjprofile.solvers.grids import hamilton_jacobi as hj_form
 from hjprofile.solvers.grids.kernels.sweep_law import Tabulated
 from hjprofile.solvers.grids.march import march
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 from oracles import SteepPair, bump_blow_up, isotonic_profile, longest_step
 
 FIGURE = Path(__file__).parents[2] / "docs" / "figures" / "vertical_step.png"

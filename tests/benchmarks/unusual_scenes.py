@@ -4,9 +4,10 @@
     python tests/benchmarks/unusual_scenes.py --hindsight [--seeds 0:60] [--tolerance 1e-3]
 
 The first prints a row for each scene and tolerance and then counts. Errors are distances to the u on which independent
-methods agree (`tests/truths.py`), and `known` is the distance of these methods. The second divides the processor
-seconds of `auto` by those of the fastest choice that meets the tolerance. The choices are fronts, whose number doubles
-until it does and of which the last two runs count, and characteristics at the coarsest tolerance that does.
+methods agree (`tests/support/truths.py`), and `known` is the distance of these methods. The second divides the
+processor seconds of `auto` by those of the fastest choice that meets the tolerance. The choices are fronts, whose
+number doubles until it does and of which the last two runs count, and characteristics at the coarsest tolerance that
+does.
 """
 
 import argparse
@@ -18,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 from truths import AGREE, TOLERANCES, VERDICTS, Worker, known_truth, scene, study
 
 import hjprofile as hj

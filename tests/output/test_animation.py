@@ -7,8 +7,8 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from legible import assert_legible
 from PIL import Image
-from test_plots import assert_legible
 
 import hjprofile as hj
 from hjprofile.output.plots import animation as film

@@ -112,20 +112,26 @@ for _kind, _table in PROFILES.items():
 
 # id -> (changes to VALID, the section the message must name, the words it must hold)
 BAD = {}
+_FIRST = {}  # kind of a mistake -> the first id
 for _section, _table, _key, _what, _optional in KEYS:
     _name = f"{_section}.{_table.get('law', _table.get('kind', ''))}.{_key}".replace("..", ".")
     if not _optional:
         _rest = {k: v for k, v in _table.items() if k != _key}
+        _FIRST.setdefault("missing", f"{_name} missing")
         BAD[f"{_name} missing"] = ({_section: _rest}, _section, [f"{_key} is missing; it must be {_what}"])
     for _value in NOT[_what]:
         _words = [f"{_key} = {_value!r} must be {_what}"]
+        _FIRST.setdefault((_what, "a number" if isinstance(_value, float) else type(_value)), f"{_name} = {_value!r}")
         BAD[f"{_name} = {_value!r}"] = ({_section: _table | {_key: _value}}, _section, _words)
+    _FIRST.setdefault("misspelt", f"{_name}s")
     _wrong = {_section: _table | {f"{_key}s": 1}}
     BAD[f"{_name}s"] = (_wrong, _section, [f"{_key}s is not a known key; did you mean {_key!r}?", "(allowed: "])
 for _section in ("erosion", "profile", "domain", "time", "solver", "output", "expect"):
     for _value in (3, "text", [1], True):
+        _FIRST.setdefault("no table", f"{_section} = {_value!r}")
         BAD[f"{_section} = {_value!r}"] = ({_section: _value}, "", [f"{_section} = {_value!r} must be a table"])
 for _section, _first in (("erosion", "law"), ("profile", "kind"), ("domain", "cells"), ("time", "end")):
+    _FIRST.setdefault("no section", f"no {_section}")
     BAD[f"no {_section}"] = ({_section: REMOVED}, _section, [f"{_first} is missing"])
 BAD |= {
     "title": ({"title": 3}, "", ["title = 3 must be a string"]),
@@ -360,6 +366,25 @@ BAD |= {
         ["flux = 1 is more than the law 'rational' erodes"],
     ),
 }
+# for the command line: one of each kind that is made above, and those that a command could treat otherwise
+ONE_OF_EACH = [
+    *_FIRST.values(),
+    "title",  # no section
+    "wrong sign",  # a law
+    "a layer under another law",
+    "past the window",  # a profile on the whole line
+    "far too many cells",
+    "repeated snapshots",
+    "attack",
+    "huge power",  # numpy could warn
+    "overflow of a mean",  # likewise
+    "coefficient of no run",
+    "no profile of slopes",  # a function of the user that fails
+    "a survey near another",
+    "survey without end",
+    "survey with NUL",
+    "survey descends",
+]
 BAD |= {
     f"snapshots = {value!r}": (
         {"time.snapshots": value},

@@ -1,7 +1,7 @@
 """Laws of linear growth (theory, §14): slopes become infinite, and the profile jumps.
 
-The witness is the inverse formulation, x as a function of u (tests/oracles.py): as ordinary differential equations for
-two kinks, and on a grid of u with isotonic regression for any profile.
+The witness is the inverse formulation, x as a function of u (tests/support/oracles.py): as ordinary differential
+equations for two kinks, and on a grid of u with isotonic regression for any profile.
 """
 
 from dataclasses import replace
@@ -293,34 +293,6 @@ def test_the_sweeps_thicken_by_the_true_exponential(form):
     exponent = grid.dx * float(np.sum(LAW.f(profile.q_means(grid, LAW))))
     assert scheme.growth == pytest.approx(1e-9 * np.expm1(exponent), rel=1e-9)  # tables are good to 1e-11
     assert speed >= np.exp(1.5) * LAW.eta0  # what bounds the step knows it as well
-
-
-def test_a_run_with_steps_goes_on_from_a_checkpoint_bit_for_bit():
-    class Keeper:
-        def __init__(self, stored=None):
-            self.stored, self.kept = stored, []
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *error):
-            return None
-
-        def recall(self, identity):
-            return self.stored
-
-        def due(self):
-            return True
-
-        def keep(self, t, memory):
-            self.kept.append({name: np.array(value) for name, value in memory.items()})
-
-    case = hj.load_case("vertical_step", {"solver.method": "telescoping", "domain.cells": 600, "time.end": 1.5})
-    keeper = Keeper()
-    whole = hj.solve_case(case, keeper=keeper)
-    rest = hj.solve_case(case, keeper=Keeper(keeper.kept[len(keeper.kept) // 2]))
-    assert np.array_equal(whole.u, rest.u) and whole.vertical_steps and whole.events
-    assert whole.vertical_steps == rest.vertical_steps and whole.events == rest.events
 
 
 def test_a_step_is_read_off_its_cell_means():

@@ -166,15 +166,16 @@ def test_the_account_says_which_bounds_were_not_held(folder, call):
 
 
 def test_stability_writes_its_table_and_picture(folder, call, monkeypatch):
+    """Of two of its scans and rows for a third; tests/studies/test_stability.py has all of them."""
     monkeypatch.setattr(study, "CELLS", 60)
-    for name, fewer in (
-        ("STEPS", 300),
-        ("CFL", (0.5, 1.5, 3.0)),
-        ("VISCOSITY_AT", (0.9,)),
-        ("SMALLEST", (0.1, 1e-3)),
-        ("EXPONENTS", (1.0, 800.0)),
-    ):
-        monkeypatch.setattr(study, name, fewer)
+    monkeypatch.setattr(study, "STEPS", 300)
+    for scan in ("_viscosity", "_reconstruction", "_smallness", "_exponents"):
+        monkeypatch.setattr(study, scan, lambda data: iter(()))
+    rows = [
+        ("godunov", "cfl", value, outcome, "", 1.0)
+        for value, outcome in ((0.5, study.HOLDS), (1.5, study.OSCILLATES), (3.0, study.FAILS))
+    ]
+    monkeypatch.setattr(study, "_cfl", lambda data: iter(rows))
     code, out, err = call("stability", "bare.toml")
     assert (code, err) == (0, "") and out.splitlines()[1].split()[0] == "godunov"
     rows = list(csv.DictReader(Path("results/bare/stability.csv").read_text().splitlines()))
@@ -248,7 +249,7 @@ def test_cases(call):
     code, out, err = call("cases")
     assert (code, err) == (0, "")
     listed = dict(line.split(maxsplit=1) for line in out.splitlines())
-    files = sorted((Path(__file__).parent.parent / "cases").glob("*.toml"))
+    files = sorted((Path(__file__).parents[2] / "cases").glob("*.toml"))
     assert listed == {f.stem: tomllib.loads(f.read_text(encoding="utf-8"))["title"] for f in files}
     assert listed.keys() == shipped_cases().keys() and len(listed) >= 5
 

@@ -23,8 +23,8 @@ from bad_cases import changed, with_files
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from random_inputs import random_case_file, random_expression, random_survey, small_run
+from same_problem import same
 from scipy.io import netcdf_file
-from test_case import same
 
 from hjprofile.cli import main
 from hjprofile.errors import InputError

@@ -23,7 +23,7 @@ import hjprofile as hj
 from hjprofile.files import write_whole
 from hjprofile.output.vtk import vtk_files
 
-SCRIPT = Path(__file__).parent.parent / "docs" / "open_in_paraview.py"
+SCRIPT = Path(__file__).parents[2] / "docs" / "open_in_paraview.py"
 SCENES = ("kinks", "single", "large", "survey", "births", "stopped")
 LENGTH, CRITICAL = 50.0, 0.6
 SURVEY = np.array(

@@ -5,6 +5,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from known_heights import truth
 from random_scenes import grid_of, random_scene
 
 import hjprofile as hj
@@ -19,23 +20,6 @@ T2 = hj.bumps([0.8, -0.3], [-5.0, -3.0], [1.0, 0.5])
 REFUSED = {"drying_channel", "thin_layer", "vertical_step"}
 TAKEN = [name for name in hj.shipped_cases() if name not in REFUSED]
 FACTOR = 30.0  # by which an estimate may be too small
-
-
-def truth(problem, grid):
-    """u at the saved times and how well it is known: closed form, characteristics at their finest, or many fronts."""
-    form = closed_form(problem)
-    if form is not None and problem.law.name == "rational":
-        return np.array([form.u(t, grid.nodes) for t in problem.times]), 1e-13
-    try:
-        run = hj.solve_characteristics(problem, grid, 1e-13)
-        if run.done:
-            return run.u, run.error_estimate
-    except RunError:
-        pass
-    coarse, fine = (hj.track_fronts(problem, grid, n) for n in (6400, 12800))
-    if not (coarse.done and fine.done):
-        return None, np.inf
-    return fine.u + (fine.u - coarse.u) / 3.0, float(np.abs(fine.u - coarse.u).max())
 
 
 def judge(problem, grid, tolerances, count):

@@ -1,7 +1,6 @@
 """A run that is stopped goes on bit for bit; whatever is wrong with a checkpoint is told in one sentence."""
 
 import json
-import os
 import random
 import signal
 import subprocess
@@ -13,58 +12,33 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
+from stopped_runs import CONTENT, Stop, case_of, fingerprint
 
 import hjprofile as hj
 from hjprofile.output.checkpoint import NAME, Checkpoint
 from hjprofile.output.folder import RECORD
+from hjprofile.problem import LAYER_METHOD
 from hjprofile.problem.case import parse_case
 from hjprofile.problem.identity import identity
 from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS, solve_case
 
-CONTENT = {
-    "title": "Two kinks",
-    "erosion": {"law": "log"},
-    "profile": {"kind": "kinks", "positions": [-7.0, -5.0], "amplitudes": [0.4, 1.2]},
-    "domain": {"left": -10.0, "cells": 400},
-    "time": {"end": 4.0, "snapshots": 7},
-    "output": {"vtk": False, "plots": False, "checkpoint": 1e-9},
-}
-
-
-def case_of(method, **changes):
-    content = {section: dict(v) if isinstance(v, dict) else v for section, v in CONTENT.items()}
-    content["solver"] = {"method": method}
-    for key, value in changes.items():
-        section, name = key.split("__")
-        content.setdefault(section, {})[name] = value
-    return parse_case(content, "scene", "scene.toml", Path())
-
-
-class Stop:
-    """Asks a checkpoint to stop after so many lots of steps, of which the first two are the start and a first lot."""
-
-    def __init__(self, keeper, lots):
-        self.keeper, self.left = keeper, lots
-
-    def __call__(self, fraction):
-        self.left -= 1
-        if self.left == 0:
-            os.kill(os.getpid(), signal.SIGTERM)
-
-
-def fingerprint(run):
-    arrays = [getattr(run, name).tobytes() for name in ("time", "u", "q", "K")]
-    return [*arrays, str(run.kinks), str(run.events), str(run.bounds), run.steps, run.step_range, run.status]
-
-
 KEPT = {"solver__refresh": 0.9}  # a factor that is kept across saved times and checkpoints
 PRESCRIBED = {"coefficient__kind": "expression", "coefficient__expression": "exp(-0.2*x)*(1 + 0.1*t)"}
+LAYER = {"erosion__law": "rational", "layer__thickness": 0.1}
+LINE = {"erosion__law": "rational", "domain__line": "whole", "domain__right": 3.0}
+STEPS = {  # kinks merge, a vertical step begins and leaves at the toe
+    "erosion": {"law": "expression", "expression": "q + q/(1+q)", "growth": "linear"},
+    "profile": {"kind": "kinks", "positions": [-3.0, -2.5], "amplitudes": [3.0, 5.0]},
+    "domain": {"left": -4.0, "cells": 400},
+    "time": {"end": 1.5, "snapshots": 7},
+}
 
 
 @pytest.mark.parametrize(
     ("method", "changes"),
     [(m, {}) for m in (*HJ_METHODS, *CONSERVATIVE_METHODS)]
-    + [("godunov", KEPT), ("eno2", KEPT), ("conservative", PRESCRIBED)],
+    + [("godunov", KEPT), ("eno2", KEPT), ("conservative", PRESCRIBED), (LAYER_METHOD, LAYER), ("conservative", LINE)]
+    + [("telescoping", STEPS)],
 )
 def test_every_method_goes_on_bit_for_bit(method, changes, tmp_path):
     case = case_of(method, **changes)

@@ -273,7 +273,7 @@ def test_the_command_and_its_files(slope, coarse, call, tmp_path):
 
 def test_the_example_of_the_docs(in_tmp, call):
     """What docs/calibration.md shows is what comes out, but for seconds and the last digit."""
-    page = (Path(__file__).parent.parent / "docs" / "calibration.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "calibration.md").read_text(encoding="utf-8")
     code, in_python = re.findall(r"^```python\n(.*?)^```", page, flags=re.M | re.S)
     (command,) = re.findall(r"^```sh\nhjprofile (.*?)\n```", page, flags=re.M)
     shown, from_python = re.findall(r"^```text\n(.*?)^```", page, flags=re.M | re.S)[:2]

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
-from bad_cases import BAD, FILES, NOT_TOML, VALID, changed, with_files
+from bad_cases import BAD, FILES, NOT_TOML, ONE_OF_EACH, VALID, changed, with_files
+from errors_page import anchors
 from scipy.io import netcdf_file
-from test_errors_page import anchors
 
 from hjprofile.cli import main
 from hjprofile.output.folder import RECORD
@@ -49,8 +49,9 @@ def assert_refused(folder, result, *words, code=2):
     assert left <= {*FILES, "scene.toml", "occupied"}
 
 
-@pytest.mark.parametrize("name", BAD)
+@pytest.mark.parametrize("name", ONE_OF_EACH)
 def test_bad_cases(folder, capsys, name):
+    """All of them are refused by `parse_case` in tests/problem/test_case.py."""
     changes, section, words = BAD[name]
     (folder / "scene.toml").write_text(tomli_w.dumps(changed(changes)))
     where = f"scene.toml: [{section}] " if section else "scene.toml: "

@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from oracles import kinks_on_the_line
-from test_checkpoint import Stop, case_of, fingerprint
 
 import hjprofile as hj
-from hjprofile.output.checkpoint import Checkpoint
 from hjprofile.output.store import load_run, write_run
 from hjprofile.problem.case import load_case, parse_case, resolved_case
 from hjprofile.problem.line import moved
@@ -209,11 +207,3 @@ def test_the_result_folder(tmp_path):
     for name in ("time", "x", "x_cell", "u", "q", "K"):
         assert np.array_equal(getattr(read, name), getattr(run, name))
     assert read.kinks == run.kinks and read.case == run.case
-
-
-def test_a_checkpoint_goes_on_bit_for_bit(tmp_path):
-    case = case_of("conservative", erosion__law="rational", domain__line="whole", domain__right=3.0)
-    whole = fingerprint(solve_case(case))
-    with pytest.raises(hj.RunError, match="interrupted"):
-        solve_case(case, Stop(None, 5), keeper=Checkpoint(tmp_path, 1e9, resume=False))
-    assert fingerprint(solve_case(case, keeper=Checkpoint(tmp_path, 1e-9, resume=True))) == whole

@@ -229,7 +229,7 @@ def test_every_option_is_taken_or_refused(command, option, folder, call):
 
 
 def test_the_table_of_the_documentation_is_that_of_the_code():
-    text = (Path(__file__).parent.parent / "docs" / "cases.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "cases.md").read_text(encoding="utf-8")
     part = text.partition("### The range of each number")[2].partition("\n#")[0]
     told = {}
     for names, zero, least, most in re.findall(r"^\| (.+?) \| (0, or )?from (\S+) to (\S+) \|$", part, flags=re.M):

@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from test_plots import assert_legible
+from legible import assert_legible
 
 import hjprofile as hj
 from hjprofile.output.plots import style

@@ -5,11 +5,14 @@ import os
 import subprocess
 import sys
 import tomllib
+import warnings
 
 import numpy as np
 import pytest
 import tomli_w
 from bad_cases import BAD, COEFFICIENTS, LAWS, NOT_TOML, PROFILES, REMOVED, VALID, changed, with_files
+from errors_page import anchors
+from same_problem import same
 
 from hjprofile.errors import InputError
 from hjprofile.problem.case import find_case, load_case, parse_case, resolved_case, shipped_cases
@@ -57,13 +60,18 @@ def test_integers_are_numbers(folder):
 
 @pytest.mark.parametrize("name", BAD)
 def test_bad_values_are_refused_by_name(folder, name):
+    """One sentence and a heading of the documentation, without a warning, with numpy as a user has it."""
     changes, section, words = BAD[name]
-    path = write(folder, changed(changes))
-    message = refusal(path)
-    assert message.startswith(f"{path}: {f'[{section}] ' if section else ''}")
+    there = set(folder.iterdir())
+    with np.errstate(all="warn", under="ignore"), warnings.catch_warnings(), pytest.raises(InputError) as refused:
+        warnings.simplefilter("error")
+        parse_case(changed(changes), "scene", "scene.toml", folder)
+    message = str(refused.value)
+    assert message.startswith(f"scene.toml: {f'[{section}] ' if section else ''}")
     assert [w for w in words if w not in message] == []
     assert "\n" not in message
-    assert not (folder / "pwned").exists()
+    assert refused.value.about in anchors()
+    assert set(folder.iterdir()) - there <= {folder / "__pycache__"}  # of the user's Python file
 
 
 @pytest.mark.parametrize("name", NOT_TOML)
@@ -130,24 +138,6 @@ def test_a_grid_that_fits_no_memory_is_refused_before_anything_is_allocated(fold
     load_case(write(folder, changed({"domain.cells": most})))
     assert "at most 2730 cells" in refusal(write(folder, changed({"domain.cells": most + 1})))
     assert "keep fewer snapshots" in refusal(write(folder, changed({"time.snapshots": 10_000})))
-
-
-def same(one, other, grid):
-    """Whether two problems are one, to the last bit."""
-    assert one.title == other.title
-    assert one.end == other.end
-    assert np.array_equal(one.times, other.times)
-    assert one.law.table == other.law.table
-    q = np.linspace(-0.9, 5.0, 40)
-    assert np.array_equal(one.law.f(q), other.law.f(q))
-    assert np.array_equal(one.profile.W(grid.nodes, one.law), other.profile.W(grid.nodes, other.law))
-    assert one.profile.units == other.profile.units
-    assert one.profile.account == other.profile.account
-    assert one.profile.inflow == other.profile.inflow
-    assert (one.coefficient is None) == (other.coefficient is None)
-    if one.coefficient is not None:
-        t = np.linspace(0.0, one.end, 5)[:, None]
-        assert np.array_equal(one.coefficient.values(t, grid.nodes), other.coefficient.values(t, grid.nodes))
 
 
 @pytest.mark.parametrize("law", LAWS)

@@ -9,10 +9,8 @@ from bad_cases import changed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import resolved_layer
-from test_checkpoint import Stop, case_of, fingerprint
 
 import hjprofile as hj
-from hjprofile.output.checkpoint import Checkpoint
 from hjprofile.problem import LAYER_METHOD
 from hjprofile.problem.case import load_case, parse_case, resolved_case
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, steady_slope
@@ -197,15 +195,6 @@ def test_in_a_case_file(tmp_path):
             parse_case(content | {"layer": wrong}, "scene", "scene", tmp_path)
     with pytest.raises(hj.InputError, match=r"scene: \[layer\] thickness = 0.3 needs the law 'rational'"):
         parse_case(content | {"erosion": {"law": "log"}}, "scene", "scene", tmp_path)
-
-
-def test_a_run_with_a_layer_goes_on_bit_for_bit(tmp_path):
-    case = case_of(LAYER_METHOD, erosion__law="rational", layer__thickness=0.1)
-    whole = fingerprint(solve_case(case))
-    for lots in (3, 5, 12):
-        with pytest.raises(hj.RunError, match="interrupted"):
-            solve_case(case, Stop(None, lots), keeper=Checkpoint(tmp_path, 1e9, resume=False))
-        assert fingerprint(solve_case(case, keeper=Checkpoint(tmp_path, 1e-9, resume=True))) == whole
 
 
 def test_the_first_grains_run_down_the_slope_as_it_was():
