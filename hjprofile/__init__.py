@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from hjprofile.problem.survey import read_survey as read_survey
     from hjprofile.problem.survey import survey as survey
     from hjprofile.solvers.characteristics.shock_fitting import solve_characteristics as solve_characteristics
-    from hjprofile.solvers.fronts.front_tracking import track_fronts as track_fronts
+    from hjprofile.solvers.front_tracking import track_fronts as track_fronts
     from hjprofile.solvers.methods import solve as solve
     from hjprofile.solvers.methods import solve_case as solve_case
     from hjprofile.solvers.methods import solve_conservative as solve_conservative
@@ -71,7 +71,7 @@ _MODULES = {
     "problem.profiles": ("bumps", "kinks", "points", "profile", "steady", "steps"),
     "problem.survey": ("read_survey", "survey"),
     "solvers.characteristics.shock_fitting": ("solve_characteristics",),
-    "solvers.fronts.front_tracking": ("track_fronts",),
+    "solvers.front_tracking": ("track_fronts",),
     "solvers.methods": ("solve", "solve_case", "solve_conservative", "solve_hj"),
     "solvers.run": ("Run",),
 }

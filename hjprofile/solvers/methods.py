@@ -17,7 +17,7 @@ from hjprofile.problem.profiles import TAIL, Kinks
 from hjprofile.problem.ranges import as_number, instance, number, shown
 from hjprofile.solvers.characteristics.shock_fitting import COARSEST, FINEST, solve_characteristics
 from hjprofile.solvers.data_resolution import cells_resolve
-from hjprofile.solvers.fronts.front_tracking import track_fronts
+from hjprofile.solvers.front_tracking import track_fronts
 from hjprofile.solvers.grids import conservation
 from hjprofile.solvers.grids import hamilton_jacobi as hj
 from hjprofile.solvers.grids.bounds_monitor import (

@@ -21,7 +21,7 @@ from hjprofile.problem.heights import HIGHEST, without_height
 from hjprofile.problem.lists import as_numbers
 from hjprofile.problem.profiles import Units
 from hjprofile.problem.ranges import number, plain, shown
-from hjprofile.solvers.fronts.front_tracking import heights_at_end
+from hjprofile.solvers.front_tracking import heights_at_end
 from hjprofile.solvers.run import Array
 
 FRONTS = 1200  # of the heights: on the hillslope to 2 cm r.m.s. of 650 m

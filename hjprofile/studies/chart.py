@@ -16,7 +16,7 @@ from hjprofile.problem.grid import Grid
 from hjprofile.problem.ranges import instance
 from hjprofile.solvers.characteristics.shock_fitting import FINEST, solve_characteristics
 from hjprofile.solvers.closed_forms import closed_form
-from hjprofile.solvers.fronts.front_tracking import track_fronts
+from hjprofile.solvers.front_tracking import track_fronts
 from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS, solve_conservative, solve_hj
 from hjprofile.solvers.run import Array, Run
 

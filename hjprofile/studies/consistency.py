@@ -24,7 +24,7 @@ from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import bumps
 from hjprofile.problem.ranges import instance
 from hjprofile.solvers.characteristics.shock_fitting import solve_characteristics
-from hjprofile.solvers.fronts.front_tracking import track_fronts
+from hjprofile.solvers.front_tracking import track_fronts
 from hjprofile.solvers.methods import solve_conservative, solve_hj
 from hjprofile.solvers.run import Run
 from hjprofile.studies.accuracy import Comparison, compare, observed_order
