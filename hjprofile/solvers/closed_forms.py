@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 
@@ -20,6 +20,7 @@ from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Kinks, Profile, Steady
 from hjprofile.solvers.run import Array, Event, KinkRecord, Run
 from hjprofile.solvers.snapshot_bounds import BOUNDS, SnapshotBounds
+from hjprofile.solvers.snapshots import Solution, assembled, walk
 
 ROUNDING = 1e-13  # of u of order 1; measured 2e-14 at most for rational laws, 1e-12 for others, which the volume shows
 
@@ -98,43 +99,58 @@ def closed_form(problem: Problem) -> ClosedForm | None:
     return None
 
 
+class _Evaluated(Solution):
+    """A closed form on a grid at given times."""
+
+    moment, steps = 0.0, 0
+
+    def __init__(self, form: ClosedForm, grid: Grid, times: Array):
+        self.form, self.grid, self.t = form, grid, 0.0
+        self.u = {t: form.u(t, grid.nodes) for t in times.tolist()}
+        self.events: list[Event] = []
+
+    def advance(self, target: float) -> None:
+        self.t = target
+        if self.form.exit_time <= target and not self.events:
+            self.events.append(Event(self.form.exit_time, "exit", 1, None, 0.0))
+
+    def read(self, nodes: Array) -> tuple[Array, Array]:
+        return self.u[self.t] - self.grid.nodes, self.form.K(self.t, nodes)
+
+    def volume(self) -> float:
+        return _volume(self.form, self.t, self.grid)
+
+    @property
+    def totals(self) -> tuple[float, float]:  # type: ignore[override]
+        """∫(K_left - 1) dt, and the crest lowering."""
+        left = float(self.grid.nodes[0])
+        return self.form.eroded(self.t, left), float(self.u[0.0][-1] - self.u[self.t][-1])
+
+    def kinks(self) -> list[KinkRecord]:
+        form, s = self.form, self.form.kink(self.t)
+        if not s < 0.0:
+            return []
+        after = float(form.at(s).breaks(form.law)[0, 2])
+        speed = float(form.K(self.t, np.array([s]))[0] * form.law.f(after) / after)
+        return [KinkRecord(self.t, 1, s, 0.0, after, after, speed, speed)]
+
+
 def evaluate(form: ClosedForm, problem: Problem, grid: Grid) -> Run:
     """The exact solution as a run on a grid. Its error is estimated by two expressions of the volume."""
     started = time.perf_counter()
-    law, times, end = form.law, problem.times, problem.end
-    u = np.array([form.u(t, grid.nodes) for t in times])
-    K = np.array([form.K(t, grid.nodes) for t in times])
-    kinks = []
-    for t in times.tolist():
-        s = form.kink(t)
-        if s < 0.0:
-            after = float(form.at(s).breaks(law)[0, 2])
-            speed = float(form.K(t, np.array([s]))[0] * law.f(after) / after)
-            kinks.append(KinkRecord(t, 1, s, 0.0, after, after, speed, speed))
-    first, last = form.u(0.0, grid.nodes), form.u(end, grid.nodes)
-    outflow, volume = float(first[-1] - last[-1]), _volume(form, 0.0, grid)
+    times, judged = problem.times, [0.0, problem.end]
+    solution = _Evaluated(form, grid, np.unique(np.append(times, judged)))
+    u = np.array([solution.u[t] for t in times.tolist()])
     scale = 1.0 + float(np.abs(u - grid.nodes).max())
     allowed = dict.fromkeys(BOUNDS, (100.0 * ROUNDING * scale, "rounding"))
-    watch = SnapshotBounds(grid, float(first[-1]), volume, allowed)
-    watch.observe(0.0, first - grid.nodes, volume, 0.0, 0.0)
-    watch.observe(end, last - grid.nodes, _volume(form, end, grid), form.eroded(end, float(grid.nodes[0])), outflow)
-    return Run(
-        title=problem.title,
-        method="closed form",
+    watch = SnapshotBounds(grid, float(solution.u[0.0][-1]), _volume(form, 0.0, grid), allowed)
+    run = assembled("closed form", solution, walk(solution, problem, grid, watch, judged=judged), watch, problem, grid)
+    return replace(
+        run,
         case=resolved_case(problem, grid, "auto"),
-        time=times,
-        x=grid.nodes,
-        x_cell=grid.centres,
-        u=u,
+        u=u,  # as the formula gives it
         q=np.diff(u, axis=1) / grid.dx - 1.0,
-        K=K,
         wall_seconds=time.perf_counter() - started,
-        kinks=kinks,
-        events=[Event(form.exit_time, "exit", 1, None, 0.0)] if form.exit_time <= end else [],
-        bounds=watch.bounds,
-        eroded_volume=watch.eroded_volume,
-        outflow=outflow,
-        volume_budget_error=watch.budget_error,
         error_estimate=10.0 * max(watch.budget_error, ROUNDING * scale),
     )
 

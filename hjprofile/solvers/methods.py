@@ -17,7 +17,7 @@ from hjprofile.problem.case import DEFAULT_CFL
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.ranges import shown
 from hjprofile.solvers.characteristics.shock_fitting import COARSEST, FINEST, solve_characteristics
-from hjprofile.solvers.fronts.front_tracking import track_fronts
+from hjprofile.solvers.front_tracking import track_fronts
 from hjprofile.solvers.grids import conservation as twins
 from hjprofile.solvers.grids.bounds_monitor import (
     HIGHER_ORDER,

@@ -18,11 +18,12 @@ from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Bumps, Kinks
 from hjprofile.solvers import closed_forms
-from hjprofile.solvers.characteristics.moving_labels import LABEL, TRY
-from hjprofile.solvers.characteristics.shock_fitting import FINEST, READ, solve_characteristics
+from hjprofile.solvers.characteristics.moving_labels import LABEL, READ, TRY
+from hjprofile.solvers.characteristics.shock_fitting import FINEST, solve_characteristics
 from hjprofile.solvers.data_resolution import cells_resolve
-from hjprofile.solvers.fronts.front_tracking import Witness, begin, track, track_fronts
+from hjprofile.solvers.front_tracking import begin, track, track_fronts
 from hjprofile.solvers.run import Array, KinkRecord, Run
+from hjprofile.solvers.snapshots import Witness
 from hjprofile.solvers.stop import ROBUST_METHOD, Reason, Stop, Stopped
 from hjprofile.solvers.units_of_the_law import Units
 

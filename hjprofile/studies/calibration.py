@@ -21,7 +21,7 @@ from hjprofile.problem.heights import HIGHEST, without_height
 from hjprofile.problem.lists import as_numbers
 from hjprofile.problem.profiles import Units
 from hjprofile.problem.ranges import number, plain, shown
-from hjprofile.solvers.fronts.front_tracking import heights_at_end
+from hjprofile.solvers.front_tracking import heights_at_end
 from hjprofile.solvers.method import Feature, require, requirements
 from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.run import Array

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 import hjprofile as hj
 from hjprofile.problem.case import shipped_cases
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink
+from hjprofile.solvers.front_tracking import begin
 from hjprofile.solvers.fronts.front_data import FAN, cut_into_fronts
-from hjprofile.solvers.fronts.front_tracking import _Tracker, begin
+from hjprofile.solvers.fronts.front_tracker import SUBLINEAR, FrontTracker
 from hjprofile.solvers.fronts.kernels.exact_fronts import narrowed
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels.law import law_decay, law_q_f
@@ -209,8 +210,8 @@ def test_fronts_stay_in_order_and_keep_the_invariant():
     rng = np.random.default_rng(5)
     for law in (hj.rational(), hj.power(3.0)):
         problem = random_steps(rng, law)
-        data, table = cut_into_fronts(problem, -10.5, 300)
-        tracker = _Tracker(data, table, exact=True)
+        data, table = cut_into_fronts(problem, -10.5, 300, SUBLINEAR)
+        tracker = FrontTracker(data, table, exact=True)
         for t in (1e-3, 1e-2, 0.1, 0.5):
             tracker.advance(t)
             gone = np.cumsum(data.jump)[-1] - np.cumsum(tracker.jump[: tracker.n])[-1]
@@ -297,7 +298,7 @@ def test_fronts_are_where_the_error_needs_them():
     """A narrow bump far from the crest: its fronts do not depend on the length of the slope; none where q = 0."""
     for centre in (-5.0, -900.0):
         problem = hj.Problem(hj.rational(), hj.bumps([0.8], [centre], [0.3]), end=0.5, snapshots=2)
-        data, _ = cut_into_fronts(problem, centre - 50.0, 200)
+        data, _ = cut_into_fronts(problem, centre - 50.0, 200, SUBLINEAR)
         assert 190 <= data.x.size <= 210 and np.abs(data.x - centre).max() <= 3.0
     run, exact = (f(problem, hj.Grid(-950.0, 2000), n) for f, n in ((hj.track_fronts, 200), (hj.track_fronts, 1600)))
     assert np.abs(run.u - exact.u).max() <= 5e-5
@@ -308,9 +309,9 @@ def test_a_thinned_survey_keeps_its_profile():
     x = np.linspace(-10.0, 0.0, 20_000)
     q = 0.6 * np.exp(-((x + 3.0) ** 2)) - 0.3 * np.exp(-(((x + 6.0) / 1.2) ** 2))
     problem = hj.Problem(hj.rational(), hj.points(x, q), end=2.0, snapshots=2)
-    data, table = cut_into_fronts(problem, -12.0, 400)
+    data, table = cut_into_fronts(problem, -12.0, 400, SUBLINEAR)
     assert data.x.size <= 450
-    W, _ = _Tracker(data, table, exact=False).read(data.sample.x)
+    W, _ = FrontTracker(data, table, exact=False).read(data.sample.x)
     assert np.abs(W - data.sample.W + data.sample.W[0]).max() <= 2.0 * data.area
     run = hj.solve(problem, 1e-3, hj.Grid(-12.0, 500))
     assert run.method == "fronts" and run.error_estimate <= 1e-3
@@ -326,8 +327,8 @@ def test_no_front_falls_steeply():
         else:
             x = np.cumsum(10 ** rng.uniform(-6, 0, 8)) - 9.0
             problem = hj.Problem(law, hj.points(x, [0, *rng.uniform(-0.8, 3.0, 6), 0]), end=1.0, snapshots=2)
-        data, table = cut_into_fronts(problem, -10.5, 300)
-        tracker = _Tracker(data, table, exact=False)
+        data, table = cut_into_fronts(problem, -10.5, 300, SUBLINEAR)
+        tracker = FrontTracker(data, table, exact=False)
         left, right, _, _ = tracker._sweep()
         assert np.max(np.log(left / right)) <= 1.2 * FAN  # the mean of a piece is not its end
         W, _ = tracker.read(data.sample.x)

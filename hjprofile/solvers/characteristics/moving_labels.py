@@ -17,9 +17,11 @@ from hjprofile.solvers.characteristics.panels import POINTS, RULE, TAIL, Panels,
 from hjprofile.solvers.kernels.dormand_prince import STAGES, state_within, tableau
 from hjprofile.solvers.kernels.law import LawTable, law_q_f
 from hjprofile.solvers.run import Array, Event, KinkRecord
-from hjprofile.solvers.stop import Place, Reason, Stop, Stopped
+from hjprofile.solvers.snapshots import Lost, Solution
+from hjprofile.solvers.stop import Place, Reason, Stop, Time
 
-TRY, LABEL = 5e-4, 1.2e-6  # seconds of a step and of a label in it, where they were measured
+# Seconds of a step, of a label in it, and of a saved time, where they were measured
+TRY, LABEL, READ = 5e-4, 1.2e-6, 1.5e-3
 CORNER = 1e-3  # part of a panel within which a birth near a corner is one at it; a sliver would halve every step
 FLOOR = 1e-13  # least step, as a part of the end
 LEAST = 1e-15  # error of a step, below which it is rounding
@@ -30,10 +32,6 @@ NARROWEST_PANEL = 1e-9
 SQUARE_ROOT = 0.7  # first step of sqrt(t - birth), in square roots of the last step in time
 MUCH_BETTER = 1 / 30  # error of a step whose interpolant is good enough for an event's state
 AT_EVENT = 1e-14  # what is left of an event's sign after a step to it, as a part of its change
-
-
-class Lost(Stopped):
-    """The labels of a shock or an admissible state are lost, or patience is."""
 
 
 @dataclass
@@ -51,8 +49,8 @@ class _Stretch:
         return clock if np.isnan(self.origin) else self.origin + clock * clock
 
 
-class MovingLabels:
-    """Characteristics on their way, to a tolerance of W."""
+class MovingLabels(Solution):
+    """Characteristics on their way, to a tolerance of W; `patience` counts the seconds of work that are left."""
 
     def __init__(self, problem: Problem, panels: Panels, table: LawTable, tolerance: float, patience: float):
         self.table, self.requested, self.end, self.patience = table, tolerance, float(problem.end), patience
@@ -67,18 +65,35 @@ class MovingLabels:
         # the smallest negative slope of X in the label that is no noise of panels or steps
         self.threshold = max(1e-7, 30.0 * POINTS**2 * tolerance)
         self.moment = problem.end * max(MOMENT, BEYOND * tolerance)
-        self._room()
+        self._allocate()
+
+    @property
+    def totals(self) -> list[float]:  # type: ignore[override]
+        """∫(K_left - 1) dt and ∫F(0) dt so far."""
+        return self.now.panels.totals.tolist()
+
+    def volume(self) -> float:
+        """∫W dx."""
+        return self.now.panels.volume()
+
+    def stop(self, target: float, lost: Lost) -> Stop:
+        return Stop(
+            lost.stop.reason,
+            "stopped at t = {t:.6g}, before t = {before:.6g}: {why}",
+            "use the method fronts",
+            {"t": Time(self.now.t), "before": Time(target), "why": lost.stop},
+        )
 
     @property
     def flat(self) -> bool:
         """Whether every label has left at x = 0."""
         return len(self.now.panels.r) == 0
 
-    def _room(self) -> None:
+    def _allocate(self) -> None:
         panels = self.now.panels
         self.medium = Medium(panels.mesh, RULE, self.table)
         self.flux = Flux(np.zeros(panels.r.shape), np.zeros(panels.shocks + 1))
-        self.k = np.zeros((STAGES + 4, 2 * panels.r.size + 2))
+        self.work = kernels.Workspace(self.flux, np.zeros((STAGES + 4, 2 * panels.r.size + 2)))
 
     def advance(self, target: float) -> None:
         """To the time `target`. Raises Lost where it cannot go on."""
@@ -99,9 +114,8 @@ class MovingLabels:
         if self.patience < 0.0:
             raise Lost(Stop(Reason.TOO_LONG, "it would take too long"))
         shocks, new = panels.labels(), np.empty(2 * panels.r.size + 2)
-        error, self.found = kernels.step(
-            panels.y, now.clock(now.t), h, now.origin, tableau(), self.medium, shocks, self.flux, self.k, new
-        )
+        time_step = kernels.TimeStep(now.clock(now.t), h, now.origin)
+        error, self.found = kernels.step(panels.y, time_step, tableau(), self.medium, shocks, self.work, new)
         return panels.at(new, shocks), error / self.tolerance
 
     def _step(self, target: float) -> None:
@@ -121,7 +135,7 @@ class MovingLabels:
             rough = self._rough(panels)
             if rough:
                 self.now = now = replace(now, panels=now.panels.split(dict.fromkeys(rough, 0.0)))
-                self._room()
+                self._allocate()
                 if len(now.panels.r) > MOST_PANELS:
                     raise Lost(Stop(Reason.NOT_RESOLVED, f"the profile needs more than {MOST_PANELS} panels"))
                 continue
@@ -146,7 +160,7 @@ class MovingLabels:
             trimmed = self.now.panels.trimmed()
             if trimmed is not self.now.panels or crossed:
                 self.now = replace(self.now, panels=trimmed)
-                self._room()
+                self._allocate()
         if not crossed:  # a step that only a saved time cut short says nothing against longer ones
             self.h = max(self.h, before * (min(2.0, 0.9 * error**-0.125) if error > 0.0 else 2.0))
 
@@ -177,11 +191,12 @@ class MovingLabels:
 
     def read(self, nodes: Array) -> tuple[Array, Array]:
         """W and K at the nodes."""
+        self.patience -= READ
         W, K = np.zeros_like(nodes), np.ones_like(nodes)
         if not self.flat:
             panels = self.now.panels
             self._rates(panels)
-            kernels.read(panels.y, panels.mesh, RULE, *panels.living(), self.flux, nodes, W, K)
+            kernels.read(panels.y, self.medium, *panels.living(), self.flux, nodes, W, K)
         return W, K
 
     def _rates(self, panels: Panels) -> Array:
@@ -258,7 +273,7 @@ class MovingLabels:
             mesh = panels.mesh
         x = float(mesh.base[cut - 1] + panels.X[cut - 1, -1] if cut > 0 else mesh.base[cut] + panels.X[cut, 0])
         self.now = replace(self.now, panels=panels)
-        self._room()
+        self._allocate()
         rate = self._rates(panels)[panels.r.size : 2 * panels.r.size].reshape(panels.r.shape)
 
         def derivative(values: Array, q: int, order: int, end: int) -> float:
@@ -323,9 +338,8 @@ class MovingLabels:
         known = dict(zip((0.0, 1.0), ends, strict=True))  # values of `least`
         now, panels, new = self.now, self.now.panels, end.y
         F, state = np.empty((7, new.size)), np.empty(new.size)
-        lost = kernels.within(
-            panels.y, now.clock(now.t), h, now.origin, tableau(), self.medium, end.labels(), self.flux, self.k, new, F
-        )
+        time_step = kernels.TimeStep(now.clock(now.t), h, now.origin)
+        lost = kernels.within(panels.y, time_step, tableau(), self.medium, end.labels(), self.work, new, F)
 
         def stepped(part: float) -> float:
             if part not in known:

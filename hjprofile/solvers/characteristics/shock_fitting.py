@@ -7,7 +7,6 @@ it, and events are found in their own time.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -17,12 +16,13 @@ from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.characteristics.label_events import FINE
-from hjprofile.solvers.characteristics.moving_labels import Lost, MovingLabels
+from hjprofile.solvers.characteristics.moving_labels import MovingLabels
 from hjprofile.solvers.characteristics.panels import Panels, cut_into_panels, interpolation
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels.law import LawTable, law_q_f
-from hjprofile.solvers.run import Array, KinkRecord, Run, in_order
+from hjprofile.solvers.run import Array, Run
 from hjprofile.solvers.snapshot_bounds import BOUNDS, SnapshotBounds
+from hjprofile.solvers.snapshots import assembled, walk
 from hjprofile.solvers.stop import Stop, Stopped, Time
 from hjprofile.solvers.units_of_the_law import Units, in_units_of_the_law
 
@@ -31,10 +31,8 @@ FINEST, COARSEST = 1e-13, 1e-4  # that may be asked for: finer is rounding
 STEPS = 1e-7  # coarsest tolerance of the steps: coarser ones save nothing, and at 1e-4 they can miss a birth
 DATA = 1e-3  # error of the panels at t = 0, as a part of the tolerance of steps: both runs have it
 COARSER, COARSE_STEPS = 10.0, 1e-6  # ratio of the tolerances of the two runs for the estimate; the second's most
-READ = 1.5e-3  # seconds of a saved time, where it was measured
 BUDGET = 30.0  # allowance of a budget in tolerances, of the size of its terms; 2000 random runs kept it
 FEWEST_STEPS = 20  # for an estimate of rounding
-BY_FRONTS = "use the method fronts"
 ROUNDING = 1e-14  # of W of order 1, after some hundred steps; measured 7e-14 at most on the rational closed forms
 
 
@@ -61,7 +59,7 @@ def _two_runs(
         panels = cut_into_panels(problem, grid.left, DATA * steps)
     except Stopped as error:
         why = {"t": Time(0.0), "why": error.stop}
-        raise Stopped(Stop(error.stop.reason, "stopped at t = {t:.6g}: {why}", BY_FRONTS, why)) from None
+        raise Stopped(Stop(error.stop.reason, "stopped at t = {t:.6g}: {why}", "use the method fronts", why)) from None
     table = _table(problem, panels)
     first = MovingLabels(problem, panels, table, min(COARSER * steps, COARSE_STEPS), patience)
     coarse, W_coarse = _march(first, problem, grid)
@@ -83,67 +81,20 @@ def _two_runs(
 def _march(
     solver: MovingLabels, problem: Problem, grid: Grid, progress: Callable[[float], None] | None = None
 ) -> tuple[Run, Array]:
-    """Through all saved times, or as far as the method gets; and W from the left end on, with less rounding than u."""
-    start, profile = solver.now.panels, problem.profile
+    """Return the run through all saved times, or as far as the method gets, and W, which has less rounding than u."""
+    start = solver.now.panels
     ends = np.array([start.mesh.base[0] + start.X[0, 0], 0.0])
-    mass = float(np.diff(profile.W(ends, problem.law))[0])
+    mass = float(np.diff(problem.profile.W(ends, problem.law))[0])
     volume = start.volume()
     # a step may add its tolerance, a panel its own, and the grid reads u to rounding
-    room = BUDGET * (solver.requested + ROUNDING) * (1.0 + abs(volume) + float(np.ptp(start.mesh.I)))
-    read = room + 4.0 * ROUNDING / grid.dx
-    allowed = {n: (room if n == "volume_budget" else read, "the tolerance") for n in BOUNDS}
+    allowance = BUDGET * (solver.requested + ROUNDING) * (1.0 + abs(volume) + float(np.ptp(start.mesh.I)))
+    read = allowance + 4.0 * ROUNDING / grid.dx
+    allowed = {n: (allowance if n == "volume_budget" else read, "the tolerance") for n in BOUNDS}
     # the least r lies a little below the least found on so many points, by less than that below the least on few
     few, many = float(start.r.min()), float((start.r @ interpolation(FINE.s).T).min())
     watch = SnapshotBounds(grid, mass, volume, allowed, law_q_f(max(2.0 * many - few, 0.5 * many), solver.table)[0])
-    kept, rows, kinks, seconds, stop = problem.times, [], list[KinkRecord](), 0.0, None
-    for target in np.unique(np.append(kept, problem.end)).tolist():
-        started = time.perf_counter()
-        try:
-            solver.advance(target)
-        except Lost as lost:
-            stop = Stop(
-                lost.stop.reason,
-                "stopped at t = {t:.6g}, before t = {before:.6g}: {why}",
-                BY_FRONTS,
-                {"t": Time(solver.now.t), "before": Time(target), "why": lost.stop},
-            )
-            break
-        finally:
-            seconds += time.perf_counter() - started
-        solver.patience -= READ
-        W, K = solver.read(grid.nodes)
-        panels = solver.now.panels
-        watch.observe(target, W, panels.volume(), *panels.totals.tolist())
-        found = solver.kinks() if target < problem.end else solver.finish()
-        if target in kept:
-            rows.append((W, K))
-            kinks += found
-        if progress:
-            progress(target / problem.end if problem.end else 1.0)
-    W, K = (np.array([row[i] for row in rows]).reshape(-1, grid.cells + 1) for i in (0, 1))
-    run = Run(
-        title=problem.title,
-        method="characteristics",
-        case=resolved_case(problem, grid, "characteristics"),
-        time=kept[: len(W)],
-        x=grid.nodes,
-        x_cell=grid.centres,
-        u=grid.nodes + W + float(profile.W(grid.nodes[:1], problem.law)[0]),
-        q=np.diff(W, axis=1) / grid.dx,
-        K=K,
-        stop=stop,
-        steps=solver.steps,
-        wall_seconds=seconds,
-        kinks=kinks,
-        events=in_order(solver.events, solver.moment),
-        bounds=watch.bounds,
-        eroded_volume=watch.eroded_volume,
-        outflow=float(solver.now.panels.totals[1]),
-        volume_budget_error=watch.budget_error,
-        units=profile.units,
-        account=profile.account,
-    )
-    return run, W
+    snapshots = walk(solver, problem, grid, watch, progress)
+    return assembled("characteristics", solver, snapshots, watch, problem, grid), snapshots.rows(grid)[0]
 
 
 @np.errstate(over="ignore")  # R is 0 where f overflows, far from the r that is looked for

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,13 +12,8 @@ from hjprofile.problem import Problem
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.profiles import Kinks
 from hjprofile.solvers.data_resolution import Sample, apart, divided, fine_sample
-from hjprofile.solvers.invariant import law_table
-from hjprofile.solvers.kernels.law import LawTable, start_pieces
 from hjprofile.solvers.run import Array
 from hjprofile.solvers.stop import ROBUST_METHOD, Reason, Stop, Stopped
-from hjprofile.solvers.vertical_steps.kernels.steps import StepLaw
-from hjprofile.solvers.vertical_steps.kernels.steps import start_pieces as start_steep_pieces
-from hjprofile.solvers.vertical_steps.step_fronts import step_law
 
 FOLDS = 5000.0  # e-folds of K that are cut through: the time for a run grows with their square, 20 s for these
 FAN = 0.25  # largest fall of ln R across one front: stronger ones, where q changes its sign, run off towards q = -1
@@ -33,8 +29,8 @@ JUMP = 1e-12  # smallest jump of q at a break
 
 
 @dataclass
-class Fronts:
-    """Fronts and the pieces between them.
+class FrontData:
+    """The fronts of a profile and the pieces between them.
 
     Attributes:
         x, jump: positions and jumps of I, from left to right; x may repeat where a fan opens.
@@ -65,8 +61,23 @@ class Fronts:
         return not self.smooth.any()
 
 
-def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts, LawTable | StepLaw]:
-    """Piecewise constant I whose W is exact at the ends of the pieces; downward jumps become fans of small fronts."""
+class Pieces(NamedTuple):
+    """Pieces of constant I under laws of one kind of growth.
+
+    Attributes:
+        table: (law, least q, largest R(q)) -> the law in the form that kernels take.
+        start: (law, this form, masses, lengths) -> r at the left ends of pieces, where r - r(length) = mass.
+    """
+
+    table: Callable[[ErosionLaw, float, float], Any]
+    start: Callable[[ErosionLaw, Any, Array, Array], Array]
+
+
+def cut_into_fronts(problem: Problem, left: float, fronts: int, pieces: Pieces) -> tuple[FrontData, Any]:
+    """Return the fronts of a profile and its law in the form of `pieces.table`.
+
+    I is piecewise constant, with W exact at the ends of the pieces; downward jumps become fans of small fronts.
+    """
     law, profile = problem.law, problem.profile
     breaks = profile.breaks(law)
     if isinstance(profile, Kinks):
@@ -84,10 +95,9 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts,
     ceiling = float(np.max(law.R(reached_q)) + np.ptp(W))
     # a front that jumps down lowers the q on its right a little where the exact fan would not
     floor = (1.0 + float(np.min(reached_q))) / 8.0 - 1.0
-    table: LawTable | StepLaw
-    table = step_law(law, floor) if law.grows_linearly else law_table(law, floor, _slope_at(law, 1.1 * ceiling))
+    table = pieces.table(law, floor, ceiling)
     r0 = float(law.R(0.0))
-    r = law.R(breaks[:, 2]) if sample is None else _start_of_pieces(law, table, mass, h)
+    r = law.R(breaks[:, 2]) if sample is None else pieces.start(law, table, mass, h)
     I = W[:-1] + r
     jump = np.diff(np.concatenate([[r0], I]))
     smooth = np.abs(mass) > 1e-15 if sample is not None else np.zeros(h.size, dtype=bool)
@@ -120,7 +130,9 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int) -> tuple[Fronts,
     if sample is None:
         area = -float(cuts[0]) * float(np.abs(jump).sum()) / fronts**2
     most_eroded = float(np.abs(law.f(reached_q)).max())
-    data = Fronts(cuts[owner], jumps, label[owner] * last, flags, area, spacing, most_eroded, r0, float(W[-1]), sample)
+    data = FrontData(
+        cuts[owner], jumps, label[owner] * last, flags, area, spacing, most_eroded, r0, float(W[-1]), sample
+    )
     return data, table
 
 
@@ -290,24 +302,3 @@ def _folded(problem: Problem, cuts: Array) -> Array:
             )
         )
     return divided(cuts, np.maximum(np.ceil(2.0 * folds).astype(int), 1))[:-1]
-
-
-def _slope_at(law: ErosionLaw, r: float) -> float:
-    """Return a q with R(q) >= r."""
-    q = 1.0
-    while law.R(q) < r:
-        q *= 2.0
-    return q
-
-
-def _start_of_pieces(law: ErosionLaw, table: LawTable | StepLaw, mass: Array, h: Array) -> Array:
-    """Return r at the left end of pieces of constant I that hold the given mass: r - r(h) = mass."""
-    if isinstance(table, StepLaw):
-        v = np.empty_like(mass)
-        start_steep_pieces(mass, h, table, v)
-        return law.R(np.expm1(v))
-    if law.name == "rational":
-        return 1.0 + mass / -np.expm1(-h)
-    r = np.empty_like(mass)
-    start_pieces(mass, h, table, r)
-    return r

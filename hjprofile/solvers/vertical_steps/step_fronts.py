@@ -12,20 +12,22 @@ import numpy as np
 from numpy.polynomial import polynomial as P
 
 from hjprofile.problem.erosion import Array, ErosionLaw
-from hjprofile.solvers.run import Event, KinkRecord, VerticalStep
-from hjprofile.solvers.vertical_steps.kernels import step_motion
+from hjprofile.solvers.fronts.front_data import FrontData, Pieces
+from hjprofile.solvers.fronts.tracker import Tracker
+from hjprofile.solvers.kernels.journal import BLOW_UP, EXIT, MERGE, OUTFLOW, STEPS, note
+from hjprofile.solvers.run import VerticalStep
 from hjprofile.solvers.vertical_steps.kernels import steps as kernels
-from hjprofile.solvers.vertical_steps.kernels.steps import StepLaw
+from hjprofile.solvers.vertical_steps.kernels.step_motion import StepControl, StepWorkspace, advance
+from hjprofile.solvers.vertical_steps.kernels.step_transitions import transitions
+from hjprofile.solvers.vertical_steps.kernels.steps import StepFronts, StepLaw, StepSides
 
 PIECE = 0.1  # width of the pieces in ln(1+q): degree 7 leaves (PIECE/4)^8 = 2e-13
 END = np.log(1e12)  # ln(1+q) that stands for an infinite slope: the rest of R is then 1e-12
 REACH = 4.0  # spacings that the fastest front may cross in a step: then time adds little to the error of space
 TOLERANCE = 1e-12  # of the exact integration
-KINK = 4.0  # times the strength of an ordinary small front: one that has swallowed so much is a kink, or a step
+FINER = 1 / 8  # part of the mean spacing by which steps in time are measured: fronts crowd at a vertical step
 _Z = np.cos(np.pi * (np.arange(8) + 0.5) / 8)
 _FIT = np.linalg.inv(np.vander(_Z, 8, increasing=True)).T
-BLOW_UP = -2.0  # a log's mark of a blow-up
-MOMENT = 1e-9  # accuracy of the times of events, as a part of the end: measured 1e-12 on kinks
 AT_ONCE = 1e-11  # distance within which an event at the end of an exact integration has taken place
 
 
@@ -87,92 +89,48 @@ def _wait(event: Callable, rates: Callable, t: float, state: Array, h: float = 1
     return float(h * now / (event(t, state + h * rate) - now)) if now else 0.0
 
 
-class Tracker:
-    """Fronts on their way, the first `n` of the arrays that kernels move; and what they have logged.
+def _start_of_pieces(law: ErosionLaw, table: StepLaw, mass: Array, h: Array) -> Array:
+    v = np.empty_like(mass)
+    kernels.start_pieces(mass, h, table, v)
+    return law.R(np.expm1(v))
 
-    Attributes:
-        strong: jump from which on a front is a kink or a step, KINK times `quantum`, that of an ordinary small front.
-        log: rows (t, kink, into, x), into = 0 a birth, -1 an exit, BLOW_UP a blow-up.
-        totals: ∫(K_left - 1) dt, ∫F(0) dt, the number of steps and the highest label.
-    """
 
-    x: Array
-    label: Array
-    moment = MOMENT
-
-    def __init__(self, jump: Array, label: Array, room: int):
-        self.n, self.t = jump.size, 0.0
-        small = np.abs(jump[label == 0])
-        self.quantum = float(np.median(small)) if small.size else np.inf
-        self.strong = KINK * self.quantum
-        self.log, self.totals = np.zeros((2 * room + 2, 4)), np.zeros(4)
-        self.totals[3] = label.max(initial=0)
-        self.events: list[Event] = []
-
-    def _note(self, n: int, logged: int) -> None:
-        self.n = n
-        for t, kink, into, x in self.log[: max(logged, 0)].tolist():
-            name = {0.0: "birth", -1.0: "exit", BLOW_UP: "blow-up"}.get(into, "merge")
-            self.events.append(Event(t, name, int(kink), int(into) if into > 0 else None, x))
-
-    def least(self) -> float:
-        """The smallest q on the right of a front, which a grid may miss between two nodes."""
-        raise NotImplementedError
-
-    def _sides(self) -> Iterator[tuple[int, float, float, float]]:
-        """Of each front with a label that is no step: its place in the arrays, q on its sides, and its speed."""
-        raise NotImplementedError
-
-    def kinks(self) -> list[KinkRecord]:
-        """The kinks now, from left to right: both speeds are that of the front."""
-        return [
-            KinkRecord(self.t, int(self.label[j]), float(self.x[j]), before, after, after - before, speed, speed)
-            for j, before, after, speed in self._sides()
-            if after > before
-        ]
+LINEAR = Pieces(lambda law, least, ceiling: step_law(law, least), _start_of_pieces)
 
 
 class StepTracker(Tracker):
-    """Kinks and steps on their way.
+    """Kinks and steps on their way."""
 
-    `x`, `jump` (of I), `label` are those of the fronts that data are cut into, and `spacing` of smooth ones.
-    """
-
-    def __init__(self, x: Array, jump: Array, label: Array, spacing: float, exact: bool, law: StepLaw):
-        room = max(x.size, 1) + (0 if exact else x.size + 64)
-        super().__init__(jump, label, room)
-        self.law, self.exact, self.spacing = law, exact, spacing
-        self.x, self.jump, self.y, self.since, self.met = (np.zeros(room) for _ in range(5))
-        self.label, self.is_step = np.zeros(room, dtype=np.int64), np.zeros(room, dtype=bool)
-        self.x[: self.n], self.jump[: self.n], self.label[: self.n] = x, jump, label
-        self.since[:] = self.met[:] = np.inf
-        self.work = np.zeros((14, room))
+    def __init__(self, data: FrontData, law: StepLaw, exact: bool, end: float = 1.0):
+        capacity = max(data.x.size, 1) + (0 if exact else data.x.size + 64)
+        super().__init__(data, exact, end, capacity)
+        self.law = law
+        self.x, self.jump, self.y, blow_up, first_merge = (np.zeros(capacity) for _ in range(5))
+        self.label, self.is_step = np.zeros(capacity, dtype=np.int64), np.zeros(capacity, dtype=bool)
+        self.x[: self.n], self.jump[: self.n], self.label[: self.n] = data.x, data.jump, data.label
+        blow_up[:] = first_merge[:] = np.inf
+        self.fronts = StepFronts(self.x, self.jump, self.is_step, self.y, self.label, blow_up, first_merge)
+        self.sides, self.work = StepSides(*np.zeros((8, capacity))), StepWorkspace(*np.zeros((6, capacity)))
+        self.control = StepControl(FINER * data.spacing, REACH, self.quantum, self.strong)
         if not exact:
             self._sweep()
-            q, strong, *rest = self._rest
-            self._note(*step_motion.transitions(*self._arrays, self.n, 0.0, q, strong, *rest[:-1], 0, self.totals))
+            quantum, strong = self.quantum, self.strong
+            self._note(transitions(self.fronts, self.n, 0.0, quantum, strong, law, self.sides, self.journal))
 
-    @property
-    def _arrays(self) -> tuple[Array, ...]:
-        return self.x, self.jump, self.is_step, self.y, self.label, self.since, self.met
-
-    @property
-    def _rest(self) -> tuple:
-        return self.quantum, self.strong, self.law, self.work, self.log, self.totals
-
-    def advance(self, end: float) -> bool:
-        """To the time `end`, if steps are not too small for that; events are noted."""
+    def advance(self, target: float) -> None:
+        """To the time `target`, if steps are not too small for that; events are noted."""
         if self.exact:
-            return self._advance_exactly(end)
-        n, logged = step_motion.advance(*self._arrays, self.n, self.t, end, REACH, self.spacing, *self._rest)
-        self._note(n, logged)
-        self.t = end
-        return bool(logged >= 0)
+            self.arrived = self._advance_exactly(target)
+        else:
+            state, rest = (self.fronts, self.n, self.t, target), (self.law, self.sides, self.work, self.journal)
+            self._note(*advance(*state, self.control, *rest))
+        self.t = target
 
-    def _sweep(self, x: Array | None = None, y: Array | None = None) -> None:
-        """Fills `work` with v left and right, R left and right, heights, K on the right, speeds and drifts."""
+    def _sweep(self, x: Array | None = None, y: Array | None = None) -> StepSides:
+        """Fill the sides and return those of the fronts that there are."""
         x, y = self.x if x is None else x, self.y if y is None else y
-        kernels.sweep(x, self.jump, self.is_step, y, self.n, self.n - 1, self.law, *self.work[:8])
+        kernels.sweep(x, y, self.fronts, self.n, self.n - 1, self.law, self.sides)
+        return StepSides(*(side[: self.n] for side in self.sides))
 
     def _advance_exactly(self, end: float) -> bool:
         from scipy.integrate import solve_ivp
@@ -181,13 +139,9 @@ class StepTracker(Tracker):
         while self.n and self.t < end:
             n, is_step = self.n, self.is_step[: self.n].copy()
 
-            def swept(state: Array, n: int = n) -> Array:
-                self._sweep(state[:n], state[n : 2 * n])
-                return self.work[:, :n]
-
             def rates(_: float, state: Array, n: int = n) -> Array:
-                _, v_right, _, _, m, K, speed, drift = swept(state)[:8]
-                return np.concatenate([speed, drift, kernels.flows(state[:n], n - 1, v_right, m, K, law)])
+                sides = self._sweep(state[:n], state[n : 2 * n])
+                return np.concatenate([sides.speed, sides.drift, kernels.flows(state[:n], n - 1, sides, law)])
 
             def meet(_: float, state: Array, n: int = n) -> float:
                 return float(np.min(np.diff(state[:n]))) if n > 1 else 1.0
@@ -195,33 +149,33 @@ class StepTracker(Tracker):
             def leave(_: float, state: Array, n: int = n) -> float:
                 return -float(state[n - 1])
 
-            def room(_: float, state: Array, n: int = n, is_step: Array = is_step) -> float:
-                """The least that is left of R at a kink under an infinite slope."""
-                left = law.r_most - swept(state)[2] - self.jump[:n]
+            def blow_up(_: float, state: Array, n: int = n, is_step: Array = is_step) -> float:
+                """The smallest difference between R under an infinite slope and R on the right of a kink."""
+                left = law.r_most - self._sweep(state[:n], state[n : 2 * n]).r_left - self.jump[:n]
                 return float(np.min(left[~is_step], initial=1.0))
 
-            for event in (meet, leave, room):
+            for event in (meet, leave, blow_up):
                 event.terminal = True  # type: ignore[attr-defined]
                 event.direction = -1.0  # type: ignore[attr-defined]
-            start = np.concatenate([self.x[:n], self.y[:n], self.totals[:2]])
-            if room(0.0, start) > 0.0:
+            start = np.concatenate([self.x[:n], self.y[:n], self.totals])
+            if blow_up(0.0, start) > 0.0:
                 how = {"method": "DOP853", "rtol": TOLERANCE, "atol": TOLERANCE}
-                part = solve_ivp(rates, (self.t, end), start, events=[meet, leave, room], **how)
+                part = solve_ivp(rates, (self.t, end), start, events=[meet, leave, blow_up], **how)
                 if part.status < 0:
                     return False
-                self.totals[2] += part.t.size - 1
+                self.journal.counts[STEPS] += part.t.size - 1
                 state, t = part.y[:, -1], float(part.t[-1])
-                happened = [times.size > 0 for times in part.t_events]
-                if any(happened):  # found on an interpolant, which is not as good as the steps
-                    event = (meet, leave, room)[happened.index(True)]
+                occurred = [times.size > 0 for times in part.t_events]
+                if any(occurred):  # found on an interpolant, which is not as good as the steps
+                    event = (meet, leave, blow_up)[occurred.index(True)]
                     for _ in range(2):
                         t = float(np.clip(t - _wait(event, rates, t, state), self.t, end))
                         state = solve_ivp(rates, (self.t, t), start, **how).y[:, -1]
                 self.t = t
             else:
-                state, happened = start, [False, False, True]
-            self.x[:n], self.y[:n], self.totals[:2] = state[:n], np.maximum(state[n : 2 * n], 0.0), state[2 * n :]
-            self._meet_or_leave(happened)
+                state, occurred = start, [False, False, True]
+            self.x[:n], self.y[:n], self.totals[:] = state[:n], np.maximum(state[n : 2 * n], 0.0), state[2 * n :]
+            self._meet_or_leave(occurred)
         self.t = end
         while any(due := self._due()):
             self._meet_or_leave(due)
@@ -232,66 +186,61 @@ class StepTracker(Tracker):
         n = self.n
         if not n:
             return [False, False, False]
-        self._sweep()
-        left = (self.law.r_most - self.work[2, :n] - self.jump[:n])[~self.is_step[:n]]
+        left = (self.law.r_most - self._sweep().r_left - self.jump[:n])[~self.is_step[:n]]
         gaps = np.min(np.diff(self.x[:n]), initial=1.0), -self.x[n - 1], np.min(left, initial=1.0)
         return [bool(gap <= AT_ONCE) for gap in gaps]
 
-    def _meet_or_leave(self, happened: list[bool]) -> None:
+    def _meet_or_leave(self, occurred: list[bool]) -> None:
         """What the events make of the fronts; those of other kinds at the same moment follow in the next round."""
-        logged, n = 0, self.n
-        self._sweep()
-        v_right, m = self.work[1].copy(), self.work[4].copy()
-        if happened[1]:
+        n, sides = self.n, self._sweep()
+        if occurred[1]:
             self.n -= 1
             if self.is_step[n - 1]:
-                self.totals[1] += m[n - 1]
-            logged = kernels.note(self.log, logged, self.t, self.label[n - 1], -1.0, 0.0)
-        elif happened[0]:
+                self.totals[OUTFLOW] += sides.height[n - 1]
+            note(self.journal, self.t, EXIT, self.label[n - 1], 0, 0.0)
+        elif occurred[0]:
             j = int(np.argmin(np.diff(self.x[:n])))
             if self.is_step[j] or self.is_step[j + 1]:
-                self.y[j + 1] = self.y[j + 1] if self.is_step[j + 1] else kernels.y_of(v_right[j + 1], self.law)
+                self.y[j + 1] = self.y[j + 1] if self.is_step[j + 1] else kernels.y_of(sides.v_right[j + 1], self.law)
                 self.is_step[j + 1] = True
             first, second = self.label[j], self.label[j + 1]
-            logged = kernels.note(self.log, logged, self.t, max(first, second), min(first, second), self.x[j])
+            note(self.journal, self.t, MERGE, max(first, second), min(first, second), self.x[j])
             self.jump[j + 1] += self.jump[j]
             self.label[j + 1] = min(first, second)
-            for array in self._arrays:
+            for array in self.fronts:
                 array[j : n - 1] = array[j + 1 : n]
             self.n -= 1
-        elif happened[2]:
-            left = self.law.r_most - self.work[2, :n] - self.jump[:n]
+        elif occurred[2]:
+            left = self.law.r_most - sides.r_left - self.jump[:n]
             j = int(np.argmin(np.where(self.is_step[:n], np.inf, left)))
             self.is_step[j], self.y[j] = True, 0.0
-            logged = kernels.note(self.log, logged, self.t, self.label[j], BLOW_UP, self.x[j])
-        self._note(self.n, logged)
+            note(self.journal, self.t, BLOW_UP, self.label[j], 0, self.x[j])
+        self._note(self.n)
 
     def read(self, nodes: Array) -> tuple[Array, Array]:
         """W and K at the nodes; at a step those on its right."""
         W, K = np.empty_like(nodes), np.empty_like(nodes)
-        kernels.read(self.x, self.jump, self.is_step, self.y, self.n, self.law, self.work, nodes, W, K)
+        kernels.read(self.fronts, self.n, self.law, self.sides, nodes, W, K)
         return W, K
 
     def volume(self) -> float:
         """∫W dx."""
-        self._sweep()
-        return float(kernels.volume(self.x, self.jump, self.n, self.work[0], self.work[1], self.law))
+        return float(kernels.volume(self.fronts, self.n, self._sweep(), self.law))
 
     def least(self) -> float:
-        self._sweep()
-        return float(np.expm1(self.work[1, : self.n].min(initial=0.0)))
+        return float(np.expm1(self._sweep().v_right.min(initial=0.0)))
 
-    def _sides(self) -> Iterator[tuple[int, float, float, float]]:
-        self._sweep()
-        left, right = np.expm1(self.work[:2, : self.n])
+    def _kink_sides(self) -> Iterator[tuple[int, float, float, float]]:
+        sides = self._sweep()
+        left, right = np.expm1(sides.v_left), np.expm1(sides.v_right)
         for j in np.flatnonzero((self.label > 0)[: self.n] & ~self.is_step[: self.n]).tolist():
-            yield j, float(left[j]), float(right[j]), float(self.work[6, j])
+            yield j, float(left[j]), float(right[j]), float(sides.speed[j])
 
     def vertical_steps(self) -> list[VerticalStep]:
         """The steps now, from left to right."""
-        self._sweep()
+        sides = self._sweep()
         return [
-            VerticalStep(self.t, int(self.label[j]), float(self.x[j]), float(self.work[4, j]), float(self.work[6, j]))
+            VerticalStep(self.t, int(self.label[j]), float(self.x[j]), float(sides.height[j]), float(sides.speed[j]))
             for j in range(self.n)
             if self.label[j] > 0 and self.is_step[j]
         ]

@@ -16,6 +16,7 @@ import numpy as np
 from hjprofile.problem.erosion import Function
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.grids.kernels.grid_loops import exponent
+from hjprofile.solvers.kernels.journal import BLOW_UP, EVENTS, EXIT, MERGE
 from hjprofile.solvers.run import Array, Event, State, VerticalStep
 from hjprofile.solvers.vertical_steps.kernels import steps as kernels
 from hjprofile.solvers.vertical_steps.kernels.steps import StepLaw
@@ -23,7 +24,6 @@ from hjprofile.solvers.vertical_steps.kernels.telescoping import WIDEST
 
 NEAR = 4.0  # cells from a vertical slope: what is as steep as there may be a step
 LEAST = 1.5  # least height, as a part of that by which R falls within a cell of a vertical slope
-KINDS = ("blow-up", "merge", "exit")
 LEAST_LIFE = 3  # sightings that make a step
 
 
@@ -191,25 +191,25 @@ class StepMonitor:
             if near:  # the lower number lives on
                 i = min(near, key=lambda i: abs(found[i].x - ahead[k]))
                 low, high = sorted((int(number), numbers[i]))
-                self._note(state.t, "merge", high, low, found[i].x)
+                self._note(state.t, MERGE, high, low, found[i].x)
                 numbers[i] = low
             elif ahead[k] > -reach[k] - width:
-                self._note(min(self.t - x / speed, state.t), "exit", number, np.nan, 0.0)
+                self._note(min(self.t - x / speed, state.t), EXIT, number, np.nan, 0.0)
                 self.gone = 2.0 * width, state.t + 2.0 * width / speed
         for i, layer in enumerate(found):
             if not numbers[i]:
                 self.count += 1
                 self.seen = np.append(self.seen, 0.0)
                 numbers[i] = self.count
-                self._note(state.t, "blow-up", self.count, np.nan, layer.x)
+                self._note(state.t, BLOW_UP, self.count, np.nan, layer.x)
             self.seen[numbers[i]] += 1
         rows = [(n, s.x, s.height, s.speed, s.right - s.left) for n, s in zip(numbers, found, strict=True)]
         self.living, self.t = np.array(rows).reshape(-1, 5), state.t
         if state.t in self.kept:
             self.rows = np.vstack([self.rows, np.insert(self.living[:, :4], 0, state.t, axis=1)])
 
-    def _note(self, t: float, kind: str, number: float, into: float, x: float) -> None:
-        self.log = np.vstack([self.log, [t, KINDS.index(kind), number, into, x]])
+    def _note(self, t: float, kind: int, number: float, into: float, x: float) -> None:
+        self.log = np.vstack([self.log, [t, kind, number, into, x]])
 
     def result(self, taken: int) -> tuple[list[VerticalStep], list[Event]]:
         """The steps at the kept times, and their events; numbered after those that are taken."""
@@ -217,7 +217,7 @@ class StepMonitor:
         new: dict[float, int] = {n: number for number, n in enumerate(lasting, start=taken + 1)}
         steps = [VerticalStep(t, new[n], x, m, s) for t, n, x, m, s in self.rows.tolist() if n in new]
         events = [
-            Event(t, KINDS[int(kind)], new[n], new.get(into), x)
+            Event(t, EVENTS[int(kind)], new[n], new.get(into), x)
             for t, kind, n, into, x in self.log.tolist()
             if n in new and (np.isnan(into) or into in new)
         ]

@@ -4,6 +4,7 @@ The conventions are those of `kernels.labels`.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +12,8 @@ from hjprofile.solvers.characteristics.kernels.labels import (
     BEYOND,
     CLOSE,
     NOISE,
+    Flux,
+    State,
     after_start,
     at_label,
     before_end,
@@ -22,21 +25,42 @@ from hjprofile.solvers.characteristics.kernels.labels import (
 from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.dormand_prince import STAGES, interpolant, state_at, step_error
 
+FOUND_ALL, NOT_ADMISSIBLE = 0, -1  # what `find_labels` returns; 1 + k where the labels of shock k are lost
+
+
+class TimeStep(NamedTuple):
+    """A step by h > 0 from `start`, in t, or in z = sqrt(t - origin) where `origin` is not NaN."""
+
+    start: float
+    h: float
+    origin: float
+
+
+class Workspace(NamedTuple):
+    """What a step leaves: the flux of its last stage, and the rates of all stages, shape (16, size of y)."""
+
+    flux: Flux
+    rates: np.ndarray
+
+
+@compiled
+def state_of(y, medium):
+    """Return the fields in y = (r, X, ..)."""
+    P, n = medium.mesh.I.shape
+    return State(y[: P * n].reshape(P, n), y[P * n : 2 * P * n].reshape(P, n), medium, np.empty(n))
+
 
 @compiled
 def find_labels(y, t, medium, shocks, unborn):
-    """Find the labels of shocks and of x = 0 in a state; 0, or 1 + k where shock k is lost, or -1 if not admissible.
+    """Find the labels of shocks and of x = 0 in a state; return FOUND_ALL, NOT_ADMISSIBLE or 1 + k for a lost shock k.
 
     Nothing but its age is known of a shock born at the time `unborn`, whose fold the state does not hold yet.
     """
-    mesh, rule, law = medium.mesh, medium.rule, medium.law
-    P, n = mesh.I.shape
-    r, X = y[: P * n].reshape(P, n), y[P * n : 2 * P * n].reshape(P, n)
-    w, count = np.empty(n), shocks.off.shape[0]
-    for p in range(P):
-        for i in range(n):
-            if not r[p, i] > 0.0:
-                return -1
+    state, mesh, count = state_of(y, medium), medium.mesh, shocks.off.shape[0]
+    for p in range(state.r.shape[0]):
+        for i in range(state.r.shape[1]):
+            if not state.r[p, i] > 0.0:
+                return NOT_ADMISSIBLE
     for k in range(count):
         if shocks.power[k, 1] > 0.0:
             age = t - shocks.birth[k]
@@ -47,23 +71,23 @@ def find_labels(y, t, medium, shocks, unborn):
             shocks.tau[k] = age
             if shocks.birth[k] == unborn:
                 continue
-        if not shock_labels(k, shocks.off, r, X, mesh, rule, law, w):
+        if not shock_labels(k, shocks.off, state):
             return 1 + k
     at, top_X, rounding = shocks.top[0], 0.0, 1.0
     for _ in range(30):  # the label at x = 0
         p, s = before_end(at, count, mesh)
         if not abs(s) <= BEYOND:
-            return -1
-        _, top_X, _, slope = at_label(p, s, r, X, mesh, rule, w)
+            return NOT_ADMISSIBLE
+        _, top_X, _, slope = at_label(p, s, state)
         rounding = max(1.0, abs(top_X))
         top_X += mesh.base[p]
         if abs(top_X) <= CLOSE * rounding or not slope > 0.0:
             break
         at += top_X * mesh.half[p] / slope
     if not abs(top_X) <= NOISE * rounding:
-        return -1
+        return NOT_ADMISSIBLE
     shocks.top[0] = at
-    return 0
+    return FOUND_ALL
 
 
 @compiled
@@ -105,7 +129,7 @@ def rates(y, t, medium, shocks, flux, unborn, out):
     mesh, law = medium.mesh, medium.law
     P, n = mesh.I.shape
     found = find_labels(y, t, medium, shocks, unborn)
-    if found != 0:
+    if found != FOUND_ALL:
         return found
     r = y[: P * n].reshape(P, n)
     top = find_flux(r, medium, shocks, flux)
@@ -121,63 +145,59 @@ def rates(y, t, medium, shocks, flux, unborn, out):
         log_K += math.log(r[0, 0]) + flux.S[0, 0]
     out[2 * P * n] = math.exp(log_K) - 1.0
     out[2 * P * n + 1] = law_terms(top, law)[0]
-    return 0
+    return FOUND_ALL
 
 
 @compiled
-def step(y, clock, h, origin, tableau, medium, shocks, flux, k, new):
-    """Fill `new` by one step h > 0 in t, or in z = sqrt(t - origin) where that is not NaN.
-
-    `k` (16, size of y) is workspace. Return the error estimate (largest entry), and as `rates`.
-    """
+def step(y, time_step, tableau, medium, shocks, work, new):
+    """Fill `new` by a step; return the error estimate (largest entry), and as `rates`."""
     for i in range(STAGES + 1):
-        found = _stage(i, y, clock, h, origin, tableau, medium, shocks, flux, k, new)
-        if found != 0:
+        found = _stage(i, y, time_step, tableau, medium, shocks, work, new)
+        if found != FOUND_ALL:
             return math.inf, found
-    return step_error(h, k, tableau, new, 0), 0
+    return step_error(time_step.h, work.rates, tableau, new, 0), FOUND_ALL
 
 
 @compiled
-def within(y, clock, h, origin, tableau, medium, shocks, flux, k, new, F):
+def within(y, time_step, tableau, medium, shocks, work, new, F):
     """Fill the coefficients F of `state_within` after a step that `step` has made; return as `rates`."""
     state = np.empty(y.size)
     for i in range(STAGES + 1, STAGES + 4):
-        found = _stage(i, y, clock, h, origin, tableau, medium, shocks, flux, k, state)
-        if found != 0:
+        found = _stage(i, y, time_step, tableau, medium, shocks, work, state)
+        if found != FOUND_ALL:
             return found
-    interpolant(y, h, k, tableau, new, F)
-    return 0
+    interpolant(y, time_step.h, work.rates, tableau, new, F)
+    return FOUND_ALL
 
 
 @compiled
-def _stage(i, y, clock, h, origin, tableau, medium, shocks, flux, k, state):
+def _stage(i, y, time_step, tableau, medium, shocks, work, state):
     """Fill the state and the rate of stage i; return as `rates`."""
-    in_root = origin == origin
+    start, h, origin = time_step.start, time_step.h, time_step.origin
+    k, in_root = work.rates, origin == origin
     state_at(i, y, h, k, tableau, state)
     part = 1.0
     if i != STAGES:
         part = np.sum(tableau.A[i]) if i < STAGES else np.sum(tableau.A_more[i - STAGES - 1])
-    z = clock + h * part
+    z = start + h * part
     t = origin + z * z if in_root else z
     # all rates by z vanish at a birth: the second stage has the state of the first, at a later time
-    unborn = origin if i == 1 and clock == 0.0 else math.nan
-    found = rates(state, t, medium, shocks, flux, unborn, k[i])
-    if found == 0 and in_root:
+    unborn = origin if i == 1 and start == 0.0 else math.nan
+    found = rates(state, t, medium, shocks, work.flux, unborn, k[i])
+    if found == FOUND_ALL and in_root:
         for l in range(y.size):
             k[i, l] *= 2.0 * z
     return found
 
 
 @compiled
-def read(y, mesh, rule, low, high, flux, nodes, W_out, K_out):
+def read(y, medium, low, high, flux, nodes, W_out, K_out):
     """W and K at increasing `nodes`: label by label where it is alive, low[p] <= s <= high[p], between shocks' places.
 
     The flux as `rates` leaves it.
     """
-    S, c = flux.S, flux.c
-    P, n = mesh.I.shape
-    r, X = y[: P * n].reshape(P, n), y[P * n : 2 * P * n].reshape(P, n)
-    w = np.empty(n)
+    S, c, mesh, rule, state = flux.S, flux.c, medium.mesh, medium.rule, state_of(y, medium)
+    r, X, w, P = state.r, state.X, state.w, mesh.I.shape[0]
     left, right = np.empty(P), np.empty(P)
     of = np.zeros(P, dtype=np.int64)
     for k in range(mesh.first.size - 1):
@@ -203,7 +223,7 @@ def read(y, mesh, rule, low, high, flux, nodes, W_out, K_out):
         else:
             s = min(max(s, a), b)
             for _ in range(60):
-                _, at, _, slope = at_label(p, s, r, X, mesh, rule, w)
+                _, at, _, slope = at_label(p, s, state)
                 beyond = at - (x - mesh.base[p])
                 if beyond > 0.0:
                     b = s

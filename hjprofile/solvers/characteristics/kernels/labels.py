@@ -63,6 +63,21 @@ class Medium(NamedTuple):
     law: LawTable
 
 
+class State(NamedTuple):
+    """A state on panels.
+
+    Attributes:
+        r, X: R(q) and the way from the panel's base, shape (panels, points).
+        medium: what stays the same.
+        w: workspace for the weights of an interpolation, shape (points,).
+    """
+
+    r: np.ndarray
+    X: np.ndarray
+    medium: Medium
+    w: np.ndarray
+
+
 class Shocks(NamedTuple):
     """The labels of shocks, which a state decides, as they were found last.
 
@@ -113,14 +128,15 @@ def dot(w, values, p):
 
 
 @compiled
-def at_label(p, s, r, X, mesh, rule, w):
-    """Return r, X, W and dX/ds at a place in panel p; leave the weights in w."""
+def at_label(p, s, state):
+    """Return r, X, W and dX/ds at a place in panel p; leave the weights in `state.w`."""
+    X, mesh, rule, w = state.X, state.medium.mesh, state.medium.rule, state.w
     weights(rule, s, w)
     slope = 0.0
     for i in range(w.size):
         slope += w[i] * dot(X[p], rule.D, i)
-    rate = dot(w, r, p)
-    return rate, dot(w, X, p), dot(w, mesh.I, p) - rate, slope
+    r = dot(w, state.r, p)
+    return r, dot(w, X, p), dot(w, mesh.I, p) - r, slope
 
 
 @compiled
@@ -153,8 +169,9 @@ def law_terms(r, law):
 
 
 @compiled
-def newton_labels(k, off, r, X, mesh, rule, law, w):
+def newton_labels(k, off, state):
     """Labels of shock k by Newton's method from `off`: with W_ξ = q X_ξ it is closed form. Returns whether found."""
+    mesh, law = state.medium.mesh, state.medium.law
     empty = mesh.first[k] == mesh.first[k + 1]
     b0, b1 = off[k, 0], off[k, 1]
     best, rounding = 1e300, 1.0
@@ -162,7 +179,7 @@ def newton_labels(k, off, r, X, mesh, rule, law, w):
         p, s = after_start(b1, k + 1, mesh)
         if not abs(s) <= BEYOND:
             break
-        r1, X1, W1, slope1 = at_label(p, s, r, X, mesh, rule, w)
+        r1, X1, W1, slope1 = at_label(p, s, state)
         half1, base1, rounding = mesh.half[p], mesh.base[p], max(1.0, abs(X1))
         q1 = law_terms(r1, law)[2] if r1 > 0.0 else math.nan
         if empty:
@@ -171,7 +188,7 @@ def newton_labels(k, off, r, X, mesh, rule, law, w):
             p, s = before_end(b0, k, mesh)
             if not abs(s) <= BEYOND:
                 break
-            r0, X0, W0, slope0 = at_label(p, s, r, X, mesh, rule, w)
+            r0, X0, W0, slope0 = at_label(p, s, state)
             half0 = mesh.half[p]
             q0 = law_terms(r0, law)[2] if r0 > 0.0 else math.nan
             off_X, off_W = mesh.base[p] - base1 + X0 - X1, W0 - W1
@@ -198,23 +215,25 @@ def newton_labels(k, off, r, X, mesh, rule, law, w):
 
 
 @compiled
-def beside(side, k, off, r, X, mesh, rule, w):
+def beside(side, k, off, state):
     """Return local place, X, W and X_ξ of the label `off` left (side = -1.0) or right (1.0) of the joint of shock k.
 
     X is measured from the base of the panel right of the joint.
     """
+    mesh = state.medium.mesh
     p, s = before_end(off, k, mesh) if side < 0.0 else after_start(off, k + 1, mesh)
-    rate, at, W, slope = at_label(p, s, r, X, mesh, rule, w)
+    _, at, W, slope = at_label(p, s, state)
     return s, mesh.base[p] - mesh.base[mesh.first[k + 1]] + at, W, slope / mesh.half[p]
 
 
 @compiled
-def fold(side, k, r, X, mesh, rule, w):
+def fold(side, k, state):
     """Least `off` beyond which X rises with the label; NaN if it is not on the panels at the joint."""
+    mesh = state.medium.mesh
     step = 0.1 * mesh.half[mesh.first[k + 1] - 1 if side < 0.0 else mesh.first[k + 1]]
     low = high = 0.0
     while True:
-        s, _, _, slope = beside(side, k, high, r, X, mesh, rule, w)
+        s, _, _, slope = beside(side, k, high, state)
         if not abs(s) <= BEYOND:
             return math.nan
         if slope > 0.0:
@@ -224,7 +243,7 @@ def fold(side, k, r, X, mesh, rule, w):
         step *= 1.2
     while high > 0.0 and high - low > 1e-15 + 1e-13 * high:
         middle = 0.5 * (low + high)
-        if beside(side, k, middle, r, X, mesh, rule, w)[3] > 0.0:
+        if beside(side, k, middle, state)[3] > 0.0:
             high = middle
         else:
             low = middle
@@ -232,12 +251,13 @@ def fold(side, k, r, X, mesh, rule, w):
 
 
 @compiled
-def label_of(side, k, target, of_W, start, r, X, mesh, rule, w):
+def label_of(side, k, target, of_W, start, state):
     """The `off` beyond `start` at which X (or W, if of_W = 1.0 and not 0.0) is `target`; NaN if not on the panels."""
+    mesh = state.medium.mesh
     step = mesh.half[mesh.first[k + 1] - 1 if side < 0.0 else mesh.first[k + 1]]
     low, high = start, start + 0.1 * step
     while True:
-        s, at, W, _ = beside(side, k, high, r, X, mesh, rule, w)
+        s, at, W, _ = beside(side, k, high, state)
         if not abs(s) <= BEYOND:
             return math.nan
         if (at + of_W * (W - at) - target) * side >= 0.0:
@@ -247,7 +267,7 @@ def label_of(side, k, target, of_W, start, r, X, mesh, rule, w):
         step *= 1.2
     for _ in range(60):
         middle = 0.5 * (low + high)
-        _, at, W, _ = beside(side, k, middle, r, X, mesh, rule, w)
+        _, at, W, _ = beside(side, k, middle, state)
         if (at + of_W * (W - at) - target) * side >= 0.0:
             high = middle
         else:
@@ -256,26 +276,27 @@ def label_of(side, k, target, of_W, start, r, X, mesh, rule, w):
 
 
 @compiled
-def bracket_labels(k, off, r, X, mesh, rule, w):
+def bracket_labels(k, off, state):
     """Labels of shock k to start Newton's method from: between the folds of X, W⁻ - W⁺ falls with x."""
-    right = fold(1.0, k, r, X, mesh, rule, w)
+    mesh = state.medium.mesh
+    right = fold(1.0, k, state)
     if mesh.first[k] == mesh.first[k + 1]:
-        off[k, 1] = label_of(1.0, k, 0.0, 1.0, right, r, X, mesh, rule, w)
+        off[k, 1] = label_of(1.0, k, 0.0, 1.0, right, state)
         return off[k, 1] == off[k, 1]
-    left = fold(-1.0, k, r, X, mesh, rule, w)
+    left = fold(-1.0, k, state)
     if not (left >= 0.0 and right >= 0.0):
         return False
-    low, high = beside(1.0, k, right, r, X, mesh, rule, w)[1], beside(-1.0, k, left, r, X, mesh, rule, w)[1]
+    low, high = beside(1.0, k, right, state)[1], beside(-1.0, k, left, state)[1]
     if not low < high:
         return False
     b0 = b1 = 0.0
     for _ in range(60):
         x = 0.5 * (low + high)
-        b0 = label_of(-1.0, k, x, 0.0, left, r, X, mesh, rule, w)
-        b1 = label_of(1.0, k, x, 0.0, right, r, X, mesh, rule, w)
+        b0 = label_of(-1.0, k, x, 0.0, left, state)
+        b1 = label_of(1.0, k, x, 0.0, right, state)
         if b0 != b0:
             low = x
-        elif b1 != b1 or beside(-1.0, k, b0, r, X, mesh, rule, w)[2] < beside(1.0, k, b1, r, X, mesh, rule, w)[2]:
+        elif b1 != b1 or beside(-1.0, k, b0, state)[2] < beside(1.0, k, b1, state)[2]:
             high = x
         else:
             low = x
@@ -288,16 +309,17 @@ def bracket_labels(k, off, r, X, mesh, rule, w):
 
 
 @compiled
-def shock_labels(k, off, r, X, mesh, rule, law, w):
+def shock_labels(k, off, state):
     """Fill the labels of shock k by Newton's method, or between the folds; return whether they are found.
 
     X rises with the label at both, unless the shock is newborn and both labels are at the joint.
     """
-    if newton_labels(k, off, r, X, mesh, rule, law, w):
+    if newton_labels(k, off, state):
         if max(off[k, 0], off[k, 1]) == 0.0:
             return True
+        mesh = state.medium.mesh
         empty = mesh.first[k] == mesh.first[k + 1]
-        rising = empty or beside(-1.0, k, off[k, 0], r, X, mesh, rule, w)[3] > 0.0
-        if rising and beside(1.0, k, off[k, 1], r, X, mesh, rule, w)[3] > 0.0:
+        rising = empty or beside(-1.0, k, off[k, 0], state)[3] > 0.0
+        if rising and beside(1.0, k, off[k, 1], state)[3] > 0.0:
             return True
-    return bracket_labels(k, off, r, X, mesh, rule, w) and newton_labels(k, off, r, X, mesh, rule, law, w)
+    return bracket_labels(k, off, state) and newton_labels(k, off, state)

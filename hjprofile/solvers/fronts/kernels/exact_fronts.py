@@ -1,15 +1,17 @@
 """Front tracking to rounding: adaptive steps of order 8, each merge and exit found in its own time.
 
-The conventions are those of `kernels.moving_fronts`.
+The conventions are those of `front_state`.
 """
 
-import math
+from typing import NamedTuple
 
 import numpy as np
 
-from hjprofile.solvers.fronts.kernels.moving_fronts import merge, note_events, outflow_at, speeds, sweep
+from hjprofile.solvers.fronts.kernels.front_merging import merge, note_events
+from hjprofile.solvers.fronts.kernels.front_state import outflow_at, speeds, sweep
 from hjprofile.solvers.kernels import compiled
-from hjprofile.solvers.kernels.dormand_prince import STAGES, state_at, step_error
+from hjprofile.solvers.kernels.dormand_prince import STAGES, Tableau, state_at, step_error
+from hjprofile.solvers.kernels.journal import GROWTH, OUTFLOW, STEPS
 
 TOGETHER = 1e-13  # fronts no further apart are at one place
 AT_END = 1e-11  # ... and at the end of an integration, where rounding can put an event just behind it
@@ -17,23 +19,37 @@ ALIKE = 1e-10  # relative difference of speeds below which fronts at one place s
 IDLE = 1000  # steps in a row that bring nothing before the integration gives up
 
 
+class ExactControl(NamedTuple):
+    """Control of the integration.
+
+    Attributes:
+        strong: jump above which a front that has merged is a kink.
+        tolerance: largest error of one step.
+        tableau: the coefficients of a step.
+    """
+
+    strong: float
+    tolerance: float
+    tableau: Tableau
+
+
 @compiled
-def rates_of(y, jump, n, r0, law, work, rate):
+def rates_of(y, jump, n, medium, sides, rate):
     """Speeds of n fronts, then K_left - 1 and F(0): the state y is their places and the integrals of these two.
 
     The last piece is continued to x = 0 even where a trial step takes the last front beyond: so the rate is smooth.
     """
-    speeds(y, jump, n, n - 1, r0, 0.0, law, work[0], work[1], work[2], rate)
-    rate[n] = work[2, 0] - 1.0
-    rate[n + 1] = outflow_at(y, n - 1, work[1], law)
+    speeds(y, jump, n, n - 1, medium, sides, rate)
+    rate[n] = sides.K[0] - 1.0
+    rate[n + 1] = outflow_at(y, n - 1, sides.r_right, medium.law)
 
 
 @compiled
-def step(y, rates, dt, jump, n, r0, law, tableau, work, new):
+def step(y, rates, dt, jump, n, medium, sides, tableau, new):
     """Fills `new` by one step from y, of which rates[0] is the rate."""
     for stage in range(1, STAGES):
         state_at(stage, y, dt, rates, tableau, new)
-        rates_of(new, jump, n, r0, law, work, rates[stage])
+        rates_of(new, jump, n, medium, sides, rates[stage])
     state_at(STAGES, y, dt, rates, tableau, new)
 
 
@@ -93,7 +109,7 @@ def narrowed(low, g_low, high, g_high, side, theta, gap):
 
 
 @compiled
-def first_event(y, rates, dt, jump, n, r0, law, tableau, work, new):
+def first_event(y, rates, dt, jump, n, medium, sides, tableau, new):
     """From `new`, a step beyond an event, back to the first one: how long a step that takes, and which pair has met.
 
     By Illinois' rule of false position on the fraction of the step.
@@ -103,7 +119,7 @@ def first_event(y, rates, dt, jump, n, r0, law, tableau, work, new):
     theta, used, met = first_crossing(y, new, rates, dt, n), dt, -1
     for _ in range(60):
         used = theta * dt
-        step(y, rates, used, jump, n, r0, law, tableau, work, new)
+        step(y, rates, used, jump, n, medium, sides, tableau, new)
         gap, met = least_gap(new, y, n)
         if abs(gap) <= 2e-15 * max(1.0, abs(new[met])) or high - low <= 2e-16:
             break
@@ -115,47 +131,36 @@ def first_event(y, rates, dt, jump, n, r0, law, tableau, work, new):
 
 
 @compiled
-def advance_exactly(
-    x, jump, label, since, smooth, n, t, end, r0, law, tableau, tolerance, strong, work, head, log, totals
-):
-    """As `advance`, but to `tolerance`: adaptive steps of order 8, and each merge and exit found in its own time.
+def advance_exactly(fronts, n, t, end, control, medium, work, journal):
+    """As `moving_fronts.advance`, by adaptive steps of order 8, and each merge and exit found in its own time.
 
     The root of an event is found on the fraction of the step; every evaluation is a step, so an event has full order.
-    Where many steps in a row bring nothing, the first jump is set to NaN, which the reader of the fronts sees.
+    Return n and whether `end` is reached: not where many steps in a row bring nothing.
     """
-    logged = stalled = 0
-    rates, room = np.empty((STAGES + 1, n + 2)), np.empty((2, n + 2))
+    x, jump, sides, rates, totals = fronts.x, fronts.jump, work.sides, work.rate, journal.totals
+    tableau, stalled = control.tableau, 0
     dt = 0.01 * (end - t)
     met = -1  # the pair (met, met + 1) of an event
     while n > 0:
         # fronts at one place that do not part are one front: after an event, and in the data
-        rates_of(x, jump, n, r0, law, work, rates[0])
-        together, near = False, TOGETHER if t < end else AT_END
-        if t >= end and x[n - 1] >= -near:
-            x[n - 1] = 0.0
-        for j in range(n - 2, -1, -1):
-            if j == met or (x[j + 1] - x[j] <= near and rates[0, j] > (1.0 - ALIKE) * rates[0, j + 1]):
-                x[j] = x[j + 1] + 4e-15 * max(1.0, abs(x[j + 1]))
-                together = True
-        if together or x[n - 1] >= 0.0:
-            sweep(x, jump, n, n - 1, r0, 0.0, law, work[0], work[1], work[3], work[2])
-            n, logged = merge(
-                x, jump, label, since, smooth, rates[0], n, t, work[0], work[1], law, work[3:], head, log, logged
-            )
-            n, logged = note_events(x, jump, label, since, strong, rates[0], n, t, log, logged, totals)
+        rates_of(x, jump, n, medium, sides, rates[0])
+        if put_together(x, rates[0], n, met, TOGETHER if t < end else AT_END, t >= end):
+            sweep(x, jump, n, n - 1, medium, sides)
+            n = merge(fronts, n, t, medium.law, sides, rates[0], work.stack, journal)
+            n = note_events(fronts, n, t, control.strong, rates[0], journal)
             met = -1
             continue
         if t >= end:
             break
 
-        y, new = room[0, : n + 2], room[1, : n + 2]
+        y, new = work.trial[: n + 2], work.new[: n + 2]
         y[:n] = x[:n]
-        y[n], y[n + 1] = totals[0], totals[1]
+        y[n], y[n + 1] = totals[GROWTH], totals[OUTFLOW]
         dt = min(dt, end - t)
         while True:
-            step(y, rates, dt, jump, n, r0, law, tableau, work, new)
-            rates_of(new, jump, n, r0, law, work, rates[STAGES])
-            error = step_error(dt, rates, tableau, new, n) / tolerance
+            step(y, rates, dt, jump, n, medium, sides, tableau, new)
+            rates_of(new, jump, n, medium, sides, rates[STAGES])
+            error = step_error(dt, rates, tableau, new, n) / control.tolerance
             if dt < 1e-14 * end:
                 break
             if not error <= 1.0:
@@ -166,13 +171,29 @@ def advance_exactly(
                 break
         used = dt
         if least_gap(new, y, n)[0] < 0.0:
-            used, met = first_event(y, rates, dt, jump, n, r0, law, tableau, work, new)
+            used, met = first_event(y, rates, dt, jump, n, medium, sides, tableau, new)
         stalled = stalled + 1 if used < 1e-13 * end else 0
         if stalled > IDLE:
-            jump[0] = math.nan
-            break
+            return n, False
         t = end if used == end - t else t + used
         x[:n] = new[:n]
-        totals[0], totals[1], totals[2] = new[n], new[n + 1], totals[2] + 1.0
+        totals[GROWTH], totals[OUTFLOW] = new[n], new[n + 1]
+        journal.counts[STEPS] += 1
         dt *= min(2.0, 0.9 * error**-0.125) if error > 0.0 else 2.0
-    return n, logged
+    return n, True
+
+
+@compiled
+def put_together(x, speed, n, met, near, at_end):
+    """Put fronts that are one out of order, to be merged; return whether there are any, or one that leaves.
+
+    They are the pair (met, met + 1), and neighbours no further apart than `near` that do not part.
+    """
+    together = False
+    if at_end and x[n - 1] >= -near:
+        x[n - 1] = 0.0
+    for j in range(n - 2, -1, -1):
+        if j == met or (x[j + 1] - x[j] <= near and speed[j] > (1.0 - ALIKE) * speed[j + 1]):
+            x[j] = x[j + 1] + 4e-15 * max(1.0, abs(x[j + 1]))
+            together = True
+    return together or x[n - 1] >= 0.0

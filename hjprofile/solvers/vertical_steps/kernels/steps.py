@@ -1,9 +1,9 @@
 """Front tracking for laws of linear growth, where slopes become infinite and the profile jumps (theory, §14).
 
-As in `kernels.moving_fronts` I = W + R(q) is constant between fronts. A front is a kink, at which W is continuous, or a
-vertical step, at which W jumps by m. The piece on the right of a step is no longer told by W on its left, so each step
-carries the place of that piece: y = 1 - exp(-rate d), d being the distance to the right of the point where the piece,
-continued to the left, is vertical. y is 0 where q is infinite, 1 where q = 0 and above 1 where q < 0.
+As in `fronts.kernels.front_state` I = W + R(q) is constant between fronts. A front is a kink, at which W is continuous,
+or a vertical step, at which W jumps by m. W on the left of a step does not determine the piece on its right, so each
+step carries the place of that piece: y = 1 - exp(-rate d), d being the distance to the right of the point where the
+piece, continued to the left, is vertical. y is 0 where q is infinite, 1 where q = 0 and above 1 where q < 0.
 """
 
 import math
@@ -11,11 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hjprofile.solvers.fronts.kernels.moving_fronts import note
 from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.law import polynomial
 
-LEVEL = 1e-14  # height of a step, relative to the jump of I, that is rounding
 ALIKE = 1e-5  # difference of ln(1 + q) below which [f]/[q] is f' in the middle
 
 
@@ -44,6 +42,46 @@ class StepLaw(NamedTuple):
     r_most: float
     eta0: float
     rate: float
+
+
+class StepFronts(NamedTuple):
+    """Kinks and steps from left to right, the first n of each array.
+
+    Attributes:
+        x, jump: positions and jumps of I.
+        is_step, y: whether a front is a step, and y on the right of it.
+        label: the number of the kink or step that a front is, or 0.
+        blow_up: when q becomes infinite midway through a step, infinite for other fronts.
+        first_merge: when another front first merged into it; infinite before.
+    """
+
+    x: np.ndarray
+    jump: np.ndarray
+    is_step: np.ndarray
+    y: np.ndarray
+    label: np.ndarray
+    blow_up: np.ndarray
+    first_merge: np.ndarray
+
+
+class StepSides(NamedTuple):
+    """What a sweep finds at each front.
+
+    Attributes:
+        v_left, v_right, r_left, r_right: ln(1 + q) and R(q).
+        height: of the vertical step.
+        K: K on the right.
+        speed, drift: x' and dy/dt.
+    """
+
+    v_left: np.ndarray
+    v_right: np.ndarray
+    r_left: np.ndarray
+    r_right: np.ndarray
+    height: np.ndarray
+    K: np.ndarray
+    speed: np.ndarray
+    drift: np.ndarray
 
 
 @compiled
@@ -119,12 +157,14 @@ def step_speed(m, law):
 
 
 @compiled
-def sweep(x, jump, is_step, y, n, top, law, v_left, v_right, r_left, r_right, m, K, speed, drift):
-    """One-sided v = ln(1 + q) and R, heights m, K right of fronts, x' and dy/dt; x = 0 lies right of front `top`.
+def sweep(x, y, fronts, n, top, law, sides):
+    """Fill the sides of the first n fronts, at x and with y on their right; x = 0 lies right of front `top`.
 
     A sweep right for v, one left for K with K(0) = 1. A kink whose W does not fit under an infinite slope has the rest
     as a height already.
     """
+    jump, is_step, m, K, speed = fronts.jump, fronts.is_step, sides.height, sides.K, sides.speed
+    v_left, v_right, r_left, r_right = sides.v_left, sides.v_right, sides.r_left, sides.r_right
     r, v, y_right = law.r0, 0.0, 1.0
     for j in range(n):
         v_left[j], r_left[j] = v, r
@@ -161,39 +201,40 @@ def sweep(x, jump, is_step, y, n, top, law, v_left, v_right, r_left, r_right, m,
             a, b = math.expm1(v_left[j]), math.expm1(v_right[j])
             speed[j] = K[j] * (b / r_right[j] - a / r_left[j]) / (b - a)
         # the piece on the right moves as a whole, with K/R
-        drift[j] = law.rate * (speed[j] - K[j] / r_right[j]) * (1.0 - y[j]) if is_step[j] else 0.0
+        sides.drift[j] = law.rate * (speed[j] - K[j] / r_right[j]) * (1.0 - y[j]) if is_step[j] else 0.0
 
 
 @compiled
-def flows(x, top, v_right, m, K, law):
+def flows(x, top, sides, law):
     """K - 1 left of all fronts, and F at x = 0."""
-    v = v_of(moved(y_of(v_right[top], law), -x[top], law), law)
-    return K[0] * math.exp(law.eta0 * m[0]) - 1.0, f_of(v, law)
+    v = v_of(moved(y_of(sides.v_right[top], law), -x[top], law), law)
+    return sides.K[0] * math.exp(law.eta0 * sides.height[0]) - 1.0, f_of(v, law)
 
 
 @compiled
-def read(x, jump, is_step, y, n, law, work, nodes, W_out, K_out):
-    """W and K at `nodes` (increasing), K at a step being that on its right."""
-    v_right, m, K = work[1], work[4], work[5]
-    sweep(x, jump, is_step, y, n, n - 1, law, work[0], v_right, work[2], work[3], m, K, work[6], work[7])
+def read(fronts, n, law, sides, nodes, W_out, K_out):
+    """W and K at `nodes` (increasing), K at a step being that on its right. Sweeps first."""
+    x, v_right, K = fronts.x, sides.v_right, sides.K
+    sweep(x, fronts.y, fronts, n, n - 1, law, sides)
     j, I = -1, law.r0
     for i in range(nodes.size):
         while j + 1 < n and x[j + 1] <= nodes[i]:
             j += 1
-            I += jump[j]
+            I += fronts.jump[j]
         if j < 0:
-            W_out[i], K_out[i] = 0.0, K[0] * math.exp(law.eta0 * m[0]) if n > 0 else 1.0
+            W_out[i], K_out[i] = 0.0, K[0] * math.exp(law.eta0 * sides.height[0]) if n > 0 else 1.0
             continue
         r = r_of(v_of(moved(y_of(v_right[j], law), nodes[i] - x[j], law), law), law)
         W_out[i], K_out[i] = I - r, K[j] * r / r_of(v_right[j], law)
 
 
 @compiled
-def volume(x, jump, n, v_left, v_right, law):
-    """∫W dx, for v as swept."""
+def volume(fronts, n, sides, law):
+    """∫W dx, for sides as swept."""
+    x, v_left, v_right = fronts.x, sides.v_left, sides.v_right
     total, I = 0.0, law.r0
     for j in range(n):
-        I += jump[j]
+        I += fronts.jump[j]
         end = x[j + 1] if j + 1 < n else 0.0
         v = v_left[j + 1] if j + 1 < n else v_of(moved(y_of(v_right[j], law), end - x[j], law), law)
         total += (I - law.r0) * (end - x[j]) - (at(law.area, law, v_right[j]) - at(law.area, law, v))
@@ -212,120 +253,3 @@ def start_pieces(mass, h, law, v):
             if high - low < 1e-15 * max(1.0, abs(low)):
                 break
         v[i] = 0.5 * (low + high)
-
-
-@compiled
-def held(y, h, law):
-    """Return ∫(R - R(0)) dx over a distance h (of either sign) from where y is given, in a piece of constant I."""
-    area = at(law.area, law, v_of(y, law)) - at(law.area, law, v_of(moved(y, h, law), law))
-    if h < 0.0 and y < 1.0:  # beyond its vertical slope a piece is level
-        area += min(h - math.log1p(-y) / law.rate, 0.0) * (law.r_most - law.r0)
-    return area
-
-
-@compiled
-def height(x, left, right, jump, law):
-    """Return the height of a step at x between two pieces, and how fast it grows with x.
-
-    A piece is a position with y there. I right of the step exceeds I left of it by `jump`.
-    """
-    v1 = v_of(moved(left[1], x - left[0], law), law)
-    v2 = v_of(moved(right[1], x - right[0], law), law)
-    return r_of(v1, law) + jump - r_of(v2, law), math.expm1(v2) - math.expm1(v1)
-
-
-@compiled
-def corner(left, right, jump, law):
-    """Return where W is continuous between two pieces, by Newton's method, between their positions if it lies there.
-
-    It does for two fronts that jump the same way. The second value is whether W is continuous.
-    """
-    xa, xb = left[0], right[0]
-    x, most = 0.5 * (xa + xb), 20.0 * abs(xa - xb)
-    at_a, at_b = height(xa, left, right, jump, law)[0], height(xb, left, right, jump, law)[0]
-    for end, m in ((xa, at_a), (xb, at_b)):
-        if abs(m) <= LEVEL * max(1.0, abs(jump)):
-            return end, True
-    between = at_a > 0.0 > at_b or at_a < 0.0 < at_b
-    low, high = (min(xa, xb), max(xa, xb)) if between else (x - most, x + most)
-    rising = at_b > at_a if xb > xa else at_a > at_b
-    for _ in range(60):
-        m, slope = height(x, left, right, jump, law)
-        if between and (m < 0.0) == rising:
-            low = x
-        elif between:
-            high = x
-        nearer = x - m / slope
-        if not low <= nearer <= high:
-            nearer = 0.5 * (low + high) if between else min(max(nearer, low), high) if nearer == nearer else x
-        done = abs(nearer - x) < 1e-15
-        x = nearer
-        if done:
-            break
-    m = height(x, left, right, jump, law)[0]
-    return x, m <= 1e-9 * max(1.0, abs(jump))
-
-
-@compiled
-def balance(left, middle, right, jump_left, jump_right, law):
-    """Return where a step between the pieces `left` and `right` keeps ∫W dx as it is with `middle` between them.
-
-    The front on the left of `middle` lies where `left` and `middle` are given, that on its right where `right` is.
-    """
-    (xa, ya), (xb, yb), jump = left, right, jump_left + jump_right
-    now = jump_left * (xb - xa) - held(middle[1], xb - xa, law)
-    x, most = 0.5 * (xa + xb), 20.0 * abs(xa - xb)
-    low, high = x - most, x + most
-    for _ in range(60):
-        m = height(x, left, right, jump, law)[0]
-        gain = jump * (xb - x) + held(yb, x - xb, law) - held(ya, x - xa, law) - now
-        nearer = min(max(x + gain / m, low), high) if m > 0.0 else x
-        done = abs(nearer - x) < 1e-15
-        x = nearer
-        if done:
-            break
-    return x
-
-
-@compiled
-def merge(x, jump, is_step, y, label, since, met, n, t, law, work, log, logged):
-    """Merges fronts that are out of order, also several at once; returns how many are left and the rows logged.
-
-    Two kinks merge where W stays continuous, and where ∫W dx does not change if a step is among them or comes of them.
-    The piece on the right of all is untouched, and with it the mass. `work[12]` holds y on the right of the fronts.
-    """
-    v_left, v_right, m, speed, y_right = work[0], work[1], work[4], work[6], work[12]
-    k = -1
-    for j in range(n):
-        k += 1
-        if k < j:
-            x[k], jump[k], is_step[k], y[k], label[k] = x[j], jump[j], is_step[j], y[j], label[j]
-            since[k], met[k], y_right[k] = since[j], met[j], y_right[j]
-            v_left[k], v_right[k], m[k], speed[k] = v_left[j], v_right[j], m[j], speed[j]
-        while k > 0 and x[k - 1] > x[k]:
-            i = k - 1
-            total = jump[i] + jump[k]
-            left, middle, right = (x[i], y_of(v_left[i], law)), (x[i], y_right[i]), (x[k], y_right[k])
-            place, fits = corner(left, right, total, law)
-            as_step = is_step[i] or is_step[k] or not fits
-            if as_step:
-                place = balance(left, middle, right, jump[i], jump[k], law)
-            known = (is_step[i] and label[i] > 0) or (is_step[k] and label[k] > 0)
-            if label[i] > 0 and label[k] > 0:
-                closing = speed[i] - speed[k]
-                ago = (x[i] - x[k]) / closing if closing > 0.0 else 0.0
-                logged = note(log, logged, t - ago, max(label[i], label[k]), min(label[i], label[k]), place)
-                label[i] = min(label[i], label[k])
-            else:
-                label[i] = max(label[i], label[k])
-            if as_step and label[i] > 0 and not known:
-                logged = note(log, logged, min(t, since[i], since[k]), label[i], -2.0, place)
-            y[i] = y_right[i] = moved(right[1], place - right[0], law)
-            v_left[i] = v_of(moved(left[1], place - left[0], law), law)
-            v_right[i] = v_of(y[i], law)
-            m[i] = r_of(v_left[i], law) + total - r_of(v_right[i], law) if as_step else 0.0
-            x[i], jump[i], is_step[i] = place, total, as_step
-            since[i], met[i] = min(since[i], since[k]), min(met[i], met[k], t)
-            speed[i] = speed[i] if is_step[i] else speed[k]
-            k = i
-    return k + 1, logged

@@ -1,0 +1,108 @@
+"""Fronts under a law of sublinear growth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from hjprofile.problem.erosion import ErosionLaw
+from hjprofile.solvers.fronts.front_data import FrontData, Pieces
+from hjprofile.solvers.fronts.kernels import front_reading
+from hjprofile.solvers.fronts.kernels.exact_fronts import ExactControl, advance_exactly
+from hjprofile.solvers.fronts.kernels.front_merging import Stack
+from hjprofile.solvers.fronts.kernels.front_state import Fronts, Medium, Sides, sweep
+from hjprofile.solvers.fronts.kernels.moving_fronts import Control, Workspace, advance
+from hjprofile.solvers.fronts.tracker import KINK, Tracker
+from hjprofile.solvers.invariant import law_table
+from hjprofile.solvers.kernels.dormand_prince import STAGES, tableau
+from hjprofile.solvers.kernels.law import LawTable, law_q_f, start_pieces
+from hjprofile.solvers.run import Array
+
+TIME = 1.0  # times the area of a piece, the largest error that time steps may add: measured, a tenth of that in space
+SAVED = 0.1  # part of the time for which error that was not used is kept for later steps
+NEAR = 0.05  # longest stretch for a Taylor series, and ...
+NEAR_AREA = 0.1  # ... its fourth power, of the area of a piece: its error is then a 24th of that
+STRONG = 0.95  # part of the small fronts whose jump is less than a KINK-th of that of a new kink
+TOLERANCE = 1e-13  # of one step of the exact integration
+
+
+class FrontTracker(Tracker):
+    """Fronts under a law of sublinear growth."""
+
+    def __init__(self, data: FrontData, table: LawTable, exact: bool, end: float = 1.0):
+        capacity = max(data.x.size, 1)
+        super().__init__(data, exact, end, capacity)
+        self.x, self.jump, self.label = data.x.copy(), data.jump.copy(), data.label.copy()
+        self.fronts = Fronts(self.x, self.jump, self.label, np.full(capacity, np.inf), data.smooth.copy())
+        small = np.abs(self.jump[self.label == 0])
+        if small.size and not exact:  # jumps differ where lengths do
+            self.strong = KINK * float(np.quantile(small, STRONG))
+        self.medium = Medium(data.r0, 0.0 if exact else min(NEAR, (NEAR_AREA * data.area) ** 0.25), table)
+        label, first = np.zeros(capacity, dtype=np.int64), np.zeros(capacity, dtype=np.int64)
+        x, jump, first_merge, speed = np.zeros((4, capacity))
+        states, more = (STAGES + 1, 2) if exact else (5, 0)  # more: the integrals that are a part of the state
+        rate, (trial, new) = np.zeros((states, capacity + more)), np.zeros((2, capacity + more))
+        self.sides = Sides(*np.zeros((4, capacity)))
+        self.work = Workspace(
+            self.sides, Stack(x, jump, label, first_merge, speed, first), rate, trial, new, np.zeros(capacity)
+        )
+        # the fourth power of the longest step falls like the square of the number of fronts, as the error in space does
+        longest = max(end, 1e-300) / math.sqrt(capacity)
+        first_step = np.array([min(math.sqrt(data.area), longest), SAVED * end])
+        allowed = TIME * data.area / max(end, 1e-300)
+        self.control = Control(self.strong, allowed, longest, SAVED * end, first_step)
+
+    def advance(self, target: float) -> None:
+        """To the time `target`, if steps are not too small for that; merges, births and exits are noted."""
+        state, rest = (self.fronts, self.n, self.t, target), (self.medium, self.work, self.journal)
+        if self.exact:
+            self._note(*advance_exactly(*state, ExactControl(self.strong, TOLERANCE, tableau()), *rest))
+        else:
+            self._note(*advance(*state, self.control, *rest))
+        self.t = target
+
+    def _sweep(self) -> Sides:
+        """The sides of the fronts that there are."""
+        sweep(self.x, self.jump, self.n, self.n - 1, self.medium, self.sides)
+        return Sides(*(side[: self.n] for side in self.sides))
+
+    def read(self, nodes: Array) -> tuple[Array, Array]:
+        """W and K at the nodes."""
+        W, K = np.empty_like(nodes), np.empty_like(nodes)
+        front_reading.read(self.fronts, self.n, self.data.area, self.medium, self.sides, nodes, W, K)
+        return W, K
+
+    def volume(self) -> float:
+        """∫W dx."""
+        return front_reading.volume(self.fronts, self.n, self.medium, self._sweep().r_right)
+
+    def least(self) -> float:
+        right = self._sweep().r_right
+        return float(law_q_f(right.min(), self.medium.law)[0]) if self.n else 0.0
+
+    def _kink_sides(self) -> Iterator[tuple[int, float, float, float]]:
+        left, right, slope, K = self._sweep()
+        law = self.medium.law
+        for j in np.flatnonzero(self.label[: self.n] > 0).tolist():
+            yield j, law_q_f(left[j], law)[0], law_q_f(right[j], law)[0], float(K[j] * slope[j])
+
+
+def _table(law: ErosionLaw, least: float, ceiling: float) -> LawTable:
+    """Return the tables of a law for q >= least and R(q) <= 1.1 ceiling."""
+    q = 1.0
+    while law.R(q) < 1.1 * ceiling:
+        q *= 2.0
+    return law_table(law, least, q)
+
+
+def _start_of_pieces(law: ErosionLaw, table: LawTable, mass: Array, h: Array) -> Array:
+    if law.name == "rational":
+        return 1.0 + mass / -np.expm1(-h)
+    r = np.empty_like(mass)
+    start_pieces(mass, h, table, r)
+    return r
+
+
+SUBLINEAR = Pieces(_table, _start_of_pieces)

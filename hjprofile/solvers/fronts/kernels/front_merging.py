@@ -1,0 +1,112 @@
+"""Merges, births and exits of fronts, in the conventions of `front_state`."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hjprofile.solvers.kernels import compiled
+from hjprofile.solvers.kernels.journal import BIRTH, EXIT, MERGE, new_label, note
+from hjprofile.solvers.kernels.law import law_decay, law_q_f
+
+
+class Stack(NamedTuple):
+    """Fronts in order, on which those that follow are laid or merge.
+
+    Attributes:
+        x, jump, label, first_merge, speed: of the front.
+        first: the leftmost of the fronts of which it is made.
+    """
+
+    x: np.ndarray
+    jump: np.ndarray
+    label: np.ndarray
+    first_merge: np.ndarray
+    speed: np.ndarray
+    first: np.ndarray
+
+
+@compiled
+def meeting(xa, ra, xb, rb, jump, span, law):
+    """Where the piece left of front a and the piece right of front b have the same W; `jump` is I_b - I_a between them.
+
+    There a merged front keeps W continuous and the mass to its right unchanged. `span` is the extent of all that merge.
+    """
+    if law.f.shape[0] == 0:
+        # 1 + (rb-1) e^{-(x-xb)} - 1 - (ra-1) e^{-(x-xa)} = jump; distances from the middle
+        m = 0.5 * (xa + xb)
+        ratio = ((rb - 1.0) * math.exp(xb - m) - (ra - 1.0) * math.exp(xa - m)) / jump
+        x = m + math.log(ratio) if ratio > 0.0 else m
+    else:
+        x = 0.5 * (xa + xb)
+        for _ in range(4):
+            r1 = law_decay(ra, x - xa, law)
+            r2 = law_decay(rb, x - xb, law)
+            dq = law_q_f(r2, law)[0] - law_q_f(r1, law)[0]
+            if dq == 0.0:
+                break
+            dx = (r2 - r1 - jump) / dq
+            x += dx
+            if abs(dx) < 1e-15:
+                break
+    # Between xa and xb if both fronts jump the same way, outside if they do not; a front whose net jump vanishes has no
+    # place of its own.
+    m, most = 0.5 * (xa + xb), 20.0 * span
+    return min(max(x, m - most), m + most) if x == x else m
+
+
+@compiled
+def merge(fronts, n, t, law, sides, speed, stack, journal):
+    """Merge fronts that are out of order, also several at once; return how many are left.
+
+    The log takes the time at which two kinks met within the step that ends at t.
+    """
+    x, r_left, r_right = fronts.x, sides.r_left, sides.r_right
+    m = 0
+    for j in range(n):
+        xj, dj, lj, vj, first = x[j], fronts.jump[j], fronts.label[j], speed[j], j
+        merged_at = fronts.first_merge[j]
+        while m > 0 and stack.x[m - 1] > xj:
+            m -= 1
+            first = stack.first[m]
+            other, closing, overlap = stack.label[m], stack.speed[m] - vj, stack.x[m] - xj
+            dj += stack.jump[m]
+            merged_at = min(merged_at, stack.first_merge[m], t)
+            left = right = x[j]
+            for i in range(first, j):
+                left, right = min(left, x[i]), max(right, x[i])
+            xj = meeting(x[first], r_left[first], x[j], r_right[j], dj, right - left, law)
+            if other > 0 and lj > 0:
+                ago = overlap / closing if closing > 0.0 else 0.0
+                note(journal, t - ago, MERGE, max(lj, other), min(lj, other), xj - ago * vj)
+                lj = min(lj, other)
+            elif other > 0:
+                lj, vj = other, stack.speed[m]
+        stack.x[m], stack.jump[m], stack.label[m], stack.speed[m], stack.first[m] = xj, dj, lj, vj, first
+        stack.first_merge[m] = merged_at
+        m += 1
+    if m < n:
+        for j in range(m):
+            last = stack.first[j + 1] - 1 if j + 1 < m else n - 1
+            x[j], fronts.jump[j], fronts.label[j], speed[j] = stack.x[j], stack.jump[j], stack.label[j], stack.speed[j]
+            fronts.first_merge[j], fronts.smooth[j] = stack.first_merge[j], fronts.smooth[last]
+            r_left[j], r_right[j] = r_left[stack.first[j]], r_right[last]
+    return m
+
+
+@compiled
+def note_events(fronts, n, t, strong, speed, journal):
+    """Number the kinks that were born, drop the fronts that left; return how many fronts there are.
+
+    A front that has merged is a kink once its jump is above `strong`; it was born when it first merged.
+    """
+    x, label, first_merge = fronts.x, fronts.label, fronts.first_merge
+    for j in range(n):
+        if label[j] == 0 and first_merge[j] <= t and fronts.jump[j] > strong:
+            label[j] = new_label(journal)
+            note(journal, first_merge[j], BIRTH, label[j], 0, x[j] - (t - first_merge[j]) * speed[j])
+    while n > 0 and x[n - 1] >= 0.0:
+        n -= 1
+        if label[n] > 0:
+            note(journal, t - x[n] / speed[n], EXIT, label[n], 0, 0.0)
+    return n

@@ -1,0 +1,116 @@
+"""Fronts and the pieces between them: one-sided values and speeds.
+
+I = W + R(q) is constant between fronts; there r = R(q) decays as in `kernels.law` and K/r is constant (theory, §5).
+Stretches over which a tabulated law hardly changes, h (1 + |f|) <= `near`, are crossed by a Taylor series.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hjprofile.solvers.kernels import compiled
+from hjprofile.solvers.kernels.law import LawTable, law_decay, law_derivatives, law_f, law_flow, law_q_f
+
+
+class Fronts(NamedTuple):
+    """Fronts from left to right, the first n of each array.
+
+    Attributes:
+        x, jump: positions and jumps of I.
+        label: the number of the kink that a front is, or 0.
+        first_merge: when another front first merged into it; infinite before.
+        smooth: whether the piece on its right stands for a stretch in which I varies.
+    """
+
+    x: np.ndarray
+    jump: np.ndarray
+    label: np.ndarray
+    first_merge: np.ndarray
+    smooth: np.ndarray
+
+
+class Medium(NamedTuple):
+    """What stays the same: r0 = R(0), r on the far left; the reach `near` of the Taylor series; the law."""
+
+    r0: float
+    near: float
+    law: LawTable
+
+
+class Sides(NamedTuple):
+    """At each front r on its left and right, slope = [f]/[q], and K."""
+
+    r_left: np.ndarray
+    r_right: np.ndarray
+    slope: np.ndarray
+    K: np.ndarray
+
+
+@compiled
+def top_front(x, n):
+    """The front whose piece on the right holds x = 0."""
+    top = n - 1
+    while top > 0 and x[top] > 0.0:
+        top -= 1
+    return top
+
+
+@compiled
+def sweep(x, jump, n, top, medium, sides):
+    """Fill the sides of the first n fronts: a sweep right for r, one left for K with K(0) = 1.
+
+    `jump` holds the jumps of I, x = 0 lies right of front `top`. Positions may be out of order: pieces of negative
+    length continue the same formula.
+    """
+    law, near = medium.law, medium.near
+    r_left, r_right, slope, K = sides.r_left, sides.r_right, sides.slope, sides.K
+    if law.f.shape[0] == 0:
+        q = medium.r0 - 1.0
+        for j in range(n):
+            r_left[j] = 1.0 + q
+            q += jump[j]
+            r_right[j] = 1.0 + q
+            slope[j] = 1.0 / (r_left[j] * r_right[j])
+            if j < n - 1:
+                q *= math.exp(x[j] - x[j + 1])
+    else:
+        rho, r = math.log(medium.r0), medium.r0
+        for j in range(n):
+            f_left = law_f(rho, law)
+            r_left[j] = r
+            r_right[j] = r + jump[j]
+            rho_right = math.log(r_right[j])
+            f, f1, f2 = law_derivatives(rho_right, law)
+            if abs(rho_right - rho) > 1e-5:
+                slope[j] = (f - f_left) / (f * r_right[j] - f_left * r)
+            else:  # df/dq, in the middle to first order: error 1e-10
+                middle = 0.5 * (rho_right - rho)
+                slope[j] = (f1 - middle * f2) / ((f1 + f - middle * (f1 + f2)) * r_right[j] * (1.0 - middle))
+            if j < n - 1:
+                h = x[j + 1] - x[j]
+                if abs(h) * (1.0 + abs(f)) <= near:
+                    rho = rho_right - h * f * (1.0 - 0.5 * h * (f1 - h / 3.0 * (f1 * f1 + f * f2)))
+                else:
+                    rho = law_flow(rho_right, h, law)
+                r = math.exp(rho)
+    if n > 0:
+        K[top] = r_right[top] / law_decay(r_right[top], -x[top], law)
+    for j in range(top - 1, -1, -1):
+        K[j] = K[j + 1] * r_right[j] / r_left[j + 1]
+    for j in range(top + 1, n):
+        K[j] = K[j - 1] * r_left[j] / r_right[j - 1]
+
+
+@compiled
+def speeds(x, jump, n, top, medium, sides, speed):
+    """Fill x' = K [f]/[q] of the first n fronts, and their sides."""
+    sweep(x, jump, n, top, medium, sides)
+    for j in range(n):
+        speed[j] = sides.slope[j] * sides.K[j]
+
+
+@compiled
+def outflow_at(x, top, r_right, law):
+    """F = f(q) at x = 0, right of front `top`."""
+    return law_q_f(law_decay(r_right[top], -x[top], law), law)[1]

@@ -1,0 +1,96 @@
+"""Fronts in motion as a solution: what fronts have in common under laws of sublinear and of linear growth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from hjprofile.problem.grid import Grid
+from hjprofile.solvers.fronts.front_data import FrontData
+from hjprofile.solvers.kernels.journal import EVENTS, HIGHEST_LABEL, LOGGED, MERGE, STEPS, Journal
+from hjprofile.solvers.run import Array, Event, KinkRecord
+from hjprofile.solvers.snapshots import Lost, Solution
+from hjprofile.solvers.stop import ROBUST_METHOD, Place, Reason, Stop, Time
+
+KINK = 4.0  # times the strength of an ordinary small front: one that has swallowed so much is a kink, or a step
+MOMENT = 1e-9  # accuracy of the times of events, as a part of the end: measured 1e-12 on kinks
+
+
+class Tracker(Solution):
+    """Fronts on their way, the first `n` of the arrays that kernels move.
+
+    Attributes:
+        x, jump, label: positions, jumps of I and labels.
+        exact: whether fronts are moved to rounding.
+        strong: jump from which on a front is a kink or a step, KINK times `quantum`, that of an ordinary small front.
+        arrived: whether the last `advance` has reached its target.
+        journal: what the kernels write down.
+    """
+
+    x: Array
+    jump: Array
+    label: Array
+    totals: Array
+
+    def __init__(self, data: FrontData, exact: bool, end: float, capacity: int):
+        self.data, self.exact, self.moment = data, exact, MOMENT * end
+        self.n, self.t, self.arrived = data.jump.size, 0.0, True
+        small = np.abs(data.jump[data.label == 0])
+        self.quantum = float(np.median(small)) if small.size else np.inf
+        self.strong = KINK * self.quantum
+        self.journal = Journal(np.zeros((2 * capacity + 2, 5)), np.zeros(2), np.zeros(3, dtype=np.int64))
+        self.journal.counts[HIGHEST_LABEL] = data.label.max(initial=0)
+        self.totals = self.journal.totals
+        self.events: list[Event] = []
+
+    @property
+    def steps(self) -> int:  # type: ignore[override]
+        """Number of time steps so far."""
+        return int(self.journal.counts[STEPS])
+
+    def _note(self, n: int, arrived: bool = True) -> None:
+        """Take over what a kernel returns. The events of a stretch that it has not finished are dropped."""
+        self.n, self.arrived = n, arrived
+        for t, kind, kink, into, x in self.journal.log[: self.journal.counts[LOGGED] if arrived else 0].tolist():
+            self.events.append(Event(t, EVENTS[int(kind)], int(kink), int(into) if kind == MERGE else None, x))
+        self.journal.counts[LOGGED] = 0
+
+    def check(self, grid: Grid, W: Array, K: Array) -> None:
+        fault = _first_fault(W, K, grid)
+        if fault is None and not self.arrived:
+            fault = int(np.argmax(K))
+        if fault is not None:
+            raise Lost(
+                Stop(
+                    Reason.NOT_RESOLVED,
+                    "stopped before t = {t:.6g}: front tracking loses the slope near x = {x:.6g}, where q is too near "
+                    "-1 for so few fronts, or K too large to separate events",
+                    f"use the method auto with a tolerance, or the method {ROBUST_METHOD}",
+                    {"t": Time(self.t), "x": Place(grid.nodes[fault])},
+                )
+            )
+
+    def least(self) -> float:
+        """The smallest q on the right of a front, which a grid may miss between two nodes."""
+        raise NotImplementedError
+
+    def _kink_sides(self) -> Iterator[tuple[int, float, float, float]]:
+        """Of each front with a label that is no step: its index, q on its left and right, and its speed."""
+        raise NotImplementedError
+
+    def kinks(self) -> list[KinkRecord]:
+        """The kinks now, from left to right: both speeds are that of the front."""
+        return [
+            KinkRecord(self.t, int(self.label[j]), float(self.x[j]), before, after, after - before, speed, speed)
+            for j, before, after, speed in self._kink_sides()
+            if after > before
+        ]
+
+
+def _first_fault(W: Array, K: Array, grid: Grid) -> int | None:
+    """The rightmost node at which the state is not admissible, or None."""
+    q = np.diff(W) / grid.dx
+    bad = ~(np.isfinite(K) & (K > 0.0))
+    bad[1:] |= ~(np.isfinite(q) & (q > -1.0))
+    return int(np.flatnonzero(bad)[-1]) if bad.any() else None
