@@ -12,7 +12,8 @@ import tomli_w
 from bad_cases import BAD, COEFFICIENTS, LAWS, NOT_TOML, PROFILES, REMOVED, VALID, changed, with_files
 
 from hjprofile.errors import InputError
-from hjprofile.problem.case import find_case, load_case, parse_case, resolved_case, shipped_cases
+from hjprofile.problem.case import load_case, parse_case, resolved_case
+from hjprofile.problem.case_files import find_case, shipped_cases
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ ABOUT = {"InputError", "RunError", "error", "_leave"}  # ... and with a heading 
 PARTS = {"did_you_mean", "_what_a_header_is", "_why", "_advice", "sentence", "_small_step_sentence"}
 PARTS |= {"_breakdown_sentence"}
 SILENT = {  # without a sentence: exceptions caught inside, or of no concern to a user; and what hands one on
-    "missing", "Breakdown", "_StepTooSmall",
+    "missing", "of", "Breakdown", "_StepTooSmall",
     "NotImplementedError", "TypeError", "ValueError", "AttributeError", "OSError",
 }  # fmt: skip
 ANYTHING = "\N{HORIZONTAL ELLIPSIS}"  # in a sentence: what varies
