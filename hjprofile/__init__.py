@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from hjprofile.problem import Problem as Problem
     from hjprofile.problem.case import Case as Case
     from hjprofile.problem.case import load_case as load_case
-    from hjprofile.problem.case import shipped_cases as shipped_cases
+    from hjprofile.problem.case_files import shipped_cases as shipped_cases
     from hjprofile.problem.coefficient import Coefficient as Coefficient
     from hjprofile.problem.coefficient import coefficient as coefficient
     from hjprofile.problem.coefficient import stored_coefficient as stored_coefficient
@@ -64,7 +64,8 @@ _MODULES = {
     "output.store": ("load_run", "write_run"),
     "output.sweep_results": ("sweep",),
     "problem": ("Problem",),
-    "problem.case": ("Case", "load_case", "shipped_cases"),
+    "problem.case": ("Case", "load_case"),
+    "problem.case_files": ("shipped_cases",),
     "problem.coefficient": ("Coefficient", "coefficient", "stored_coefficient"),
     "problem.erosion": ("ErosionLaw", "erosion_law", "expression", "log", "power", "rational"),
     "problem.grid": ("Grid",),

@@ -22,7 +22,7 @@ ONLY_IN = {  # package -> the modules and rooms that may import it
     "vtkmodules": ("output.vtk",),
     "matplotlib": ("output.plots",),
     "PIL": ("output.plots",),
-    "tomllib": ("problem.case", "output.store", "cli"),
+    "tomllib": ("problem.case_files", "output.store", "cli"),
     "tomli_w": ("problem.case", "output.store", "cli"),
     "cyclopts": ("cli",),
     "rich": ("cli",),

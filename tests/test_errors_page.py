@@ -21,7 +21,7 @@ ABOUT = {"InputError", "RunError", "error", "_leave"}  # ... and with a heading 
 # functions whose strings are parts of such sentences
 PARTS = {"did_you_mean", "_what_a_header_is"}
 SILENT = {  # without a sentence: exceptions caught inside, or of no concern to a user; and what hands one on
-    "missing", "Breakdown", "_StepTooSmall", "Stopped", "Halt", "Lost", "mapped",
+    "missing", "of", "Breakdown", "_StepTooSmall", "Stopped", "Halt", "Lost", "mapped",
     "NotImplementedError", "TypeError", "ValueError", "AttributeError", "OSError",
 }  # fmt: skip
 ANYTHING = "\N{HORIZONTAL ELLIPSIS}"  # in a sentence: what varies

@@ -43,8 +43,11 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         _leave(f"hjprofile: {error}", 2, "the-command-line")
     except (InputError, RunError) as error:
         command = (sys.argv[1:] if arguments is None else arguments)[0]
-        about = error.about or _ABOUT.get(command, "a-check-or-a-study")
-        _leave(f"hjprofile: {error}", 2 if isinstance(error, InputError) else 1, about)
+        *others, last = error.faults if isinstance(error, InputError) else (error,)
+        about = _ABOUT.get(command, "a-check-or-a-study")
+        for fault in others:
+            print(_told(f"hjprofile: {fault}", fault.about or about), file=sys.stderr)
+        _leave(f"hjprofile: {last}", 2 if isinstance(error, InputError) else 1, last.about or about)
     except MemoryError:
         _leave("hjprofile: the machine's memory is not enough; use fewer cells or snapshots", 1, "memory")
     except BrokenPipeError:  # whoever read stdout has left; nor is there anything to say when Python flushes at exit

@@ -100,7 +100,7 @@ def folder_for(names: tuple[Path, ...], out: Path | None, keep: str = "") -> Res
     Raises InputError if a case cannot be read, or if its default folder belongs to another case.
     """
     from hjprofile.output.folder import ResultFolder, owner_of
-    from hjprofile.problem.case import find_case
+    from hjprofile.problem.case_files import find_case
 
     paths = [find_case(name) for name in names]
     path = out or (Path("results") / paths[0].stem if len(paths) == 1 else Path("results"))

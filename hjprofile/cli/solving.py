@@ -95,7 +95,7 @@ def sweep(
     from hjprofile.output.sweep_results import account, report
     from hjprofile.output.sweep_results import sweep as run_sweep
     from hjprofile.output.workers import processes
-    from hjprofile.problem.case import read_choices
+    from hjprofile.problem.case_files import read_choices
 
     choices = read_choices(vary)
     folder = folder_for((case,), out, keep=MEMBERS if resume else "").path
@@ -140,7 +140,7 @@ def cases(*, json: Json = False) -> None:
     """List the cases that come with the package."""
     import tomllib
 
-    from hjprofile.problem.case import shipped_cases
+    from hjprofile.problem.case_files import shipped_cases
 
     shipped = shipped_cases()
     titles = {name: tomllib.loads(path.read_text(encoding="utf-8")).get("title", "") for name, path in shipped.items()}

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 from hjprofile.errors import InputError
 from hjprofile.files import write_whole
-from hjprofile.problem.case import read_case
-from hjprofile.problem.erosion import located
+from hjprofile.problem.case_files import read_case
+from hjprofile.problem.paths import located
 
 RECORD = ".hjprofile.json"  # in the folder: its owner, and the names of the files that hjprofile wrote there
 INSIDE = ("vtk", "members")  # folders inside it

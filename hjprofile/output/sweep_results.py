@@ -18,7 +18,7 @@ from hjprofile.files import write_whole
 from hjprofile.output.archive import pack, unpack
 from hjprofile.output.folder import MEMBERS, ResultFolder, owner_of
 from hjprofile.output.store import to_csv, to_json
-from hjprofile.problem.case import find_case
+from hjprofile.problem.case_files import find_case
 from hjprofile.problem.ranges import instance, plain, shown
 from hjprofile.solvers.run import Array
 from hjprofile.studies.sweep import QUANTITIES, Member, Outcome, members, run_members, text_of

@@ -12,13 +12,16 @@ from typing import Any
 import numpy as np
 
 from hjprofile.errors import InputError, RunError
-from hjprofile.problem.erosion import load_function, located
 from hjprofile.problem.expressions import arithmetic
-from hjprofile.problem.ranges import RANGES, as_path, shown
+from hjprofile.problem.kinds import STRIPPED, TEXT
+from hjprofile.problem.paths import located
+from hjprofile.problem.ranges import RANGES, Array, as_path, shown
+from hjprofile.problem.schema import choice, table_of
 from hjprofile.problem.stored import read_profile
 from hjprofile.problem.units import Units
+from hjprofile.problem.user_code import evaluating, load_function, over_arrays
 
-Array = np.ndarray
+PROBE = np.array([[0.0], [0.25]]), np.array([-0.5, -0.25, 0.0])  # (t, x): does a function take arrays?
 
 
 @dataclass(frozen=True)
@@ -49,11 +52,9 @@ class Coefficient:
         Raises RunError, which says where, if k is not a positive number.
         """
         t, x = np.asarray(t, dtype=float), np.asarray(x, dtype=float)
+        with evaluating("the coefficient", RunError):
+            k = np.asarray(self.function(t.copy(), x.copy()), dtype=float)  # it may write into its arguments
         with np.errstate(all="ignore"):
-            try:
-                k = np.asarray(self.function(t.copy(), x.copy()), dtype=float)  # it may write into its arguments
-            except Exception as error:  # whatever a user's function raises
-                raise RunError(f"the coefficient cannot be evaluated: {type(error).__name__}: {error}") from error
             k = np.array(np.broadcast_to(k, np.broadcast_shapes(t.shape, x.shape)))
             wrong = ~RANGES["k"].holds(k)
         if wrong.any():
@@ -77,34 +78,39 @@ class Coefficient:
             raise InputError(str(error)) from None
 
 
-def coefficient(k: str | Callable[..., Any], table: Mapping[str, Any] | None = None) -> Coefficient:
+def coefficient(k: str | Callable[..., Any]) -> Coefficient:
     """A coefficient from an expression in t and x, or from a Python function k(t, x), or k(x) where time is no matter.
 
     The function may take arrays that broadcast, or single numbers only (slower). An expression is made of numbers,
     + - * / **, exp, log, log1p, expm1, sqrt. Raises InputError for anything else.
     """
     if isinstance(k, str):
-        checked = arithmetic(k, "t", "x")
-        table = {"kind": "expression", "expression": k.strip()}
-        return Coefficient(checked.value, table, "t" not in checked.used, content="")
+        return from_expression(k)
     if not callable(k):
         raise InputError(f"coefficient = {shown(k)} must be a function of t and x, or an expression in them")
-    name, home = getattr(k, "__name__", "k"), getattr(k, "__module__", "")
-    table = table or {"kind": "python", "file": home, "function": name}
+    table = table_of(from_file, {"file": getattr(k, "__module__", None) or "", "function": getattr(k, "__name__", "k")})
     try:
         steady = len(inspect.signature(k).parameters) == 1
     except (TypeError, ValueError):  # compiled functions need not say what they take
         steady = False
-    return Coefficient(_over_arrays((lambda t, x: k(x)) if steady else k), table, steady)
+    return Coefficient(over_arrays((lambda t, x: k(x)) if steady else k, *PROBE), table, steady)
 
 
-def from_file(path: Path, function: str, file: str | None = None) -> Coefficient:
+@choice("expression", expression=STRIPPED)
+def from_expression(expression: str) -> Coefficient:
+    """A coefficient from an expression in t and x."""
+    checked = arithmetic(expression, "t", "x")
+    return Coefficient(checked.value, {}, "t" not in checked.used, content="")
+
+
+@choice("python", file=TEXT, function=TEXT)
+def from_file(file: str | Path, function: str, base: Path | None = None) -> Coefficient:
     """A coefficient from the function of that name in a Python file, which is run."""
-    loaded = load_function(path, function)
-    table = {"kind": "python", "file": file or str(path), "function": function}
-    return replace(coefficient(loaded.function, table), content=loaded.content)
+    loaded = load_function(located(base or Path(), file), function)
+    return replace(coefficient(loaded.function), content=loaded.content)
 
 
+@choice("run", result=TEXT)
 def stored_coefficient(result: str | Path, base: Path = Path()) -> Coefficient:
     """The factor K of a run that was stored in a result folder, as a coefficient.
 
@@ -125,11 +131,10 @@ def stored_coefficient(result: str | Path, base: Path = Path()) -> Coefficient:
         raise InputError(f"result = {str(result)!r} holds no positive K at its saved times and nodes")
     if time[0] > 0.0:
         raise InputError(f"result = {str(result)!r} begins at t = {time[0]:g}; K is needed from t = 0 on")
-    table = {"kind": "run", "result": str(result)}
-    return replace(tabulated(time, x, K, table), units=units)
+    return replace(tabulated(time, x, K), units=units)
 
 
-def tabulated(time: Array, x: Array, k: Array, table: Mapping[str, Any] | None = None) -> Coefficient:
+def tabulated(time: Array, x: Array, k: Array) -> Coefficient:
     """The coefficient of values k, shape (times, places), at increasing times and places, ln k linear between."""
     ln_k = np.log(k)
 
@@ -148,7 +153,7 @@ def tabulated(time: Array, x: Array, k: Array, table: Mapping[str, Any] | None =
         return np.exp((1.0 - after) * before + after * behind)
 
     content = hashlib.sha256(b"".join(values.tobytes() for values in (time, x, ln_k))).hexdigest()
-    table = table or {"kind": "run", "result": ""}
+    table = table_of(stored_coefficient, {"result": ""})
     return Coefficient(between, table, time.size == 1, float(x[0]), float(time[-1]), content)
 
 
@@ -158,16 +163,3 @@ def _place(knots: Array, at: Array) -> tuple[Array, Array]:
     i = np.clip(np.searchsorted(knots, at, "right") - 1, 0, max(knots.size - 2, 0))
     width = knots[np.minimum(i + 1, knots.size - 1)] - knots[i]
     return i, np.divide(at - knots[i], width, out=np.zeros_like(at), where=width > 0.0)
-
-
-def _over_arrays(k: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    """k itself if it maps arrays element by element, else a loop over it."""
-    t, x = np.array([[0.0], [0.25]]), np.array([-0.5, -0.25, 0.0])
-    try:
-        values = np.broadcast_to(np.asarray(k(t.copy(), x.copy()), dtype=float), (2, 3))
-        alone = [[float(k(float(a), float(b))) for b in x] for a in t[:, 0]]
-        if np.allclose(values, alone, rtol=1e-12, atol=0.0, equal_nan=True):
-            return k
-    except Exception:  # whatever a scalar function raises when it is handed an array
-        pass
-    return np.vectorize(k, otypes=[float])

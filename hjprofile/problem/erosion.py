@@ -6,24 +6,23 @@ growth "linear" instead of the last has f' -> η0 > 0: slopes then become infini
 
 from __future__ import annotations
 
-import importlib.util
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import Chebyshev, chebyshev
 
-from hjprofile.errors import InputError, did_you_mean
+from hjprofile.errors import InputError
+from hjprofile.problem.assumptions import check_assumptions
 from hjprofile.problem.expressions import arithmetic
-from hjprofile.problem.python_files import content_of
-from hjprofile.problem.ranges import number, shown
-
-Array = np.ndarray
-Function = Callable[[Any], Any]
+from hjprofile.problem.kinds import POSITIVE, STRIPPED, TEXT
+from hjprofile.problem.paths import located
+from hjprofile.problem.ranges import Array, number, shown
+from hjprofile.problem.schema import choice, table_of
+from hjprofile.problem.user_code import Function, load_function, on_copies, over_arrays
 
 NEAR_ZERO = 0.05  # |q| below which f(q)/q is read from a polynomial: f may be a difference of numbers of order one
 DEGREES = 13, 29  # of the polynomial: the first whose last coefficients are below DIGITS of the largest
@@ -31,12 +30,9 @@ DIGITS = 1e-13
 TINY = -37.0  # ln|q| below which a decay is exponential to rounding
 NODES, HALVINGS = 16, 6  # of a panel of a decay, and how often it is halved at most for DIGITS
 NEWTON, LAST_MOVE = 30, 1e-14  # most steps to invert a panel, and the last of them, in parts of half a panel
-# headings of the page on errors
-UNREADABLE, PYTHON, NO_LAW = "a-file-that-cannot-be-read", "a-python-file", "what-a-law-must-be"
+PROBE = np.array([0.5, -0.3, 2.0])  # slopes at which it is found out whether a function takes arrays
 LINEAR = "linear"  # the growth of a law outside [eq:f]
-FAR = 1e100, 1e50, 1e30, 1e15  # slopes at which f' is looked for its limit: the largest where f is finite, and the next
 FARTHEST = 1e5  # slopes beyond which f - q f' of a law of linear growth is taken as constant
-LIMIT = 1e-10  # relative difference of f' at the two up to which it has one
 _STENCIL = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])  # eighth-order central difference
 
 
@@ -190,28 +186,27 @@ def _chebyshev_panels(function: Function, edges: Array) -> tuple[Array, Array]:
     return edges, coefficients
 
 
+_law = partial(choice, chooser="law")
+
+
+@_law("rational")
 def rational() -> ErosionLaw:
     """f = q/(1+q), the law of the slow-erosion limit [fex]."""
     return ErosionLaw(
         f=lambda q: q / (1.0 + q),
         derivative=lambda q: 1.0 / np.square(1.0 + q),
-        table={"law": "rational"},
         closed_inverse=lambda y: np.where(y < 1.0, y / np.where(y < 1.0, 1.0 - y, 1.0), np.nan),
         content="",
     )
 
 
+@_law("log")
 def log() -> ErosionLaw:
     """f = ln(1+q)."""
-    return ErosionLaw(
-        f=np.log1p,
-        derivative=lambda q: 1.0 / (1.0 + q),
-        table={"law": "log"},
-        closed_inverse=np.expm1,
-        content="",
-    )
+    return ErosionLaw(f=np.log1p, derivative=lambda q: 1.0 / (1.0 + q), closed_inverse=np.expm1, content="")
 
 
+@_law("power", m=POSITIVE)
 def power(m: float) -> ErosionLaw:
     """f = (1 - (1+q)^-m)/m with m > 0; m = 1 is the rational law, m -> 0 the logarithm.
 
@@ -226,26 +221,30 @@ def power(m: float) -> ErosionLaw:
     return ErosionLaw(
         f=lambda q: -np.expm1(-m * np.log1p(q)) / m,
         derivative=lambda q: np.exp(-(m + 1.0) * np.log1p(q)),
-        table={"law": "power", "m": m},
         closed_inverse=inverse,
         content="",
     )
 
 
-def expression(text: str, growth: str | None = None) -> ErosionLaw:
+@_law("expression", expression=STRIPPED, growth=TEXT)
+def expression(expression: str, growth: str | None = None) -> ErosionLaw:
     """A law from an arithmetic expression in q: numbers, + - * / **, exp, log, log1p, expm1, sqrt.
 
     Raises InputError for anything else, and for a law that breaks an assumption. `growth` as in `erosion_law`.
     """
-    f = arithmetic(text, "q").value
-    table = {"law": "expression", "expression": text.strip()}
-    return replace(erosion_law(f, table=table, growth=growth), content="")
+    return replace(erosion_law(arithmetic(expression, "q").value, growth=growth), content="")
+
+
+@_law("python", file=TEXT, function=TEXT, growth=TEXT)
+def from_file(file: str | Path, function: str, growth: str | None = None, base: Path | None = None) -> ErosionLaw:
+    """A law from the function of that name in a Python file, which is run; `growth` as in `erosion_law`."""
+    loaded = load_function(located(base or Path(), file), function)
+    return replace(erosion_law(loaded.function, growth=growth), content=loaded.content)
 
 
 def erosion_law(
-    f: Function, derivative: Function | None = None, inverse: Function | None = None, table: Mapping | None = None,
-    growth: str | None = None,
-) -> ErosionLaw:  # fmt: skip
+    f: Function, derivative: Function | None = None, inverse: Function | None = None, growth: str | None = None
+) -> ErosionLaw:
     """A law from a Python function of q; f' and the inverse are derived where they are not given.
 
     `f` may take arrays, or single numbers only (slower). Raises InputError if an assumption of [eq:f] is broken. With
@@ -256,174 +255,13 @@ def erosion_law(
     for role, function in (("f", f), ("derivative", derivative), ("inverse", inverse)):
         if not (callable(function) or (function is None and role != "f")):
             raise InputError(f"{role} = {shown(function)} must be a function of one number or array")
-    name = getattr(f, "__name__", "f")
-    vectorised = _over_arrays(f)
-    law = ErosionLaw(
+    vectorised = over_arrays(f, PROBE)
+    slope = over_arrays(derivative, PROBE) if derivative is not None else differentiate(vectorised)
+    origin = {"file": getattr(f, "__module__", None) or "", "function": getattr(f, "__name__", "f"), "growth": growth}
+    return ErosionLaw(
         f=vectorised,
-        derivative=_over_arrays(derivative) if derivative is not None else differentiate(vectorised),
-        table=dict(table or {"law": "python", "file": getattr(f, "__module__", ""), "function": name})
-        | ({"growth": growth} if growth else {}),
-        closed_inverse=inverse and _of_a_copy(inverse),
+        derivative=slope,
+        table=table_of(from_file, origin),
+        closed_inverse=inverse and on_copies(inverse),
+        eta0=check_assumptions(vectorised, slope, growth == LINEAR),
     )
-    check_assumptions(law, growth)
-    return replace(law, eta0=_slope_at_infinity(law)) if growth else law
-
-
-def from_file(path: Path, function: str, file: str | None = None, growth: str | None = None) -> ErosionLaw:
-    """A law from the function of that name in a Python file, which is run; `growth` as in `erosion_law`."""
-    loaded = load_function(path, function)
-    table = {"law": "python", "file": file or str(path), "function": function}
-    return replace(erosion_law(loaded.function, table=table, growth=growth), content=loaded.content)
-
-
-def located(base: Path, file: str | Path) -> Path:
-    """Return the path of a file that a case names, relative to the folder `base`; ~ is the home folder."""
-    path = Path(file)
-    with suppress(RuntimeError):  # there is no such home
-        path = path.expanduser()
-    return base / path
-
-
-def require_file(path: Path) -> None:
-    """Raises InputError unless `path` is a file; a folder has nothing to read, a pipe or a device may have no end."""
-    try:
-        there = path.is_file()
-    except OSError as error:  # a name too long, a folder that may not be entered
-        raise InputError(f"file = {str(path)!r} cannot be read: {error.strerror}", UNREADABLE) from None
-    if not there:
-        beside: list[str] = []
-        with suppress(OSError, ValueError, NotImplementedError):  # no such folder, one that may not be entered, a NUL
-            beside = [other.name for other in path.parent.glob(f"*{path.suffix}") if other.is_file()]
-        hint = did_you_mean(path.name, beside)
-        raise InputError(f"file = {str(path)!r} does not exist, or is not a file{hint}", UNREADABLE)
-
-
-class Loaded(NamedTuple):
-    """A function from a file, and the hash of the file."""
-
-    function: Function
-    content: str
-
-
-def load_function(path: Path, function: str) -> Loaded:
-    """Return the function of that name in a Python file. Running the file runs its author's code.
-
-    The bytes that are hashed are those that are run, because Python's own cache of compiled files misses an edit
-    within a second.
-    """
-    require_file(path)
-    spec = importlib.util.spec_from_file_location(f"hjprofile_user_{path.stem}", path)
-    if spec is None or spec.loader is None:
-        raise InputError(f"file = {str(path)!r} is not a Python file (.py)", PYTHON)
-    module = importlib.util.module_from_spec(spec)
-    try:
-        source = path.read_bytes()
-        content = content_of(path, source)
-        exec(compile(source, str(path), "exec"), vars(module))
-    except (Exception, SystemExit) as error:
-        raise InputError(f"file = {str(path)!r} could not be run: {type(error).__name__}: {error}", PYTHON) from error
-    f = getattr(module, function, None)
-    if not callable(f):
-        raise InputError(f"function = {function!r} is not defined in {path.name}", PYTHON)
-    return Loaded(f, content)
-
-
-def _of_a_copy(f: Function) -> Function:
-    """Return f with a copy of its argument, into which it may write."""
-    return lambda q: f(np.array(q, dtype=float))
-
-
-def _over_arrays(f: Function) -> Function:
-    """Return f if it maps arrays element by element, else a loop over it; either works on a copy of its argument."""
-    probe = np.array([0.5, -0.3, 2.0])
-    try:
-        values = np.asarray(f(probe.copy()), dtype=float)
-        if values.shape == probe.shape and np.allclose(
-            values, [float(f(float(q))) for q in probe], rtol=1e-12, atol=0, equal_nan=True
-        ):
-            return _of_a_copy(f)
-    except Exception:  # whatever a scalar function raises when it is handed an array
-        pass
-    looped = np.vectorize(f, otypes=[float])
-    return lambda q: looped(q)
-
-
-def _slope_at_infinity(law: ErosionLaw) -> float:
-    """lim f' as q -> ∞, or 0 where f' has not settled at a positive limit; read off f/q, which is exact so far out."""
-    q = np.array(FAR)
-    with np.errstate(all="ignore"):
-        f, slopes = np.asarray(law.f(q), dtype=float), np.asarray(law.derivative(q), dtype=float)
-    finite = np.isfinite(f) & np.isfinite(slopes)
-    far, mean = slopes[finite], (f / q)[finite]
-    settled = far.size > 1 and far[0] > 0.0 and max(abs(far[:2] - mean[0])) <= LIMIT * far[0]
-    return float(mean[0]) if settled else 0.0
-
-
-CONCAVE = "f must be concave: each further bit of steepness adds less"
-
-
-def check_assumptions(law: ErosionLaw, growth: str | None = None) -> None:
-    """Raises InputError naming the assumption that the law breaks, of [eq:f] or of growth "linear", and a q where."""
-    v = np.linspace(np.log(1e-8), np.log(1e8), 4001)  # ln(1+q)
-    q = np.expm1(v)
-    try:
-        with np.errstate(all="ignore"):
-            f, df = np.asarray(law.f(q), dtype=float), np.asarray(law.derivative(q), dtype=float)
-            f0 = float(law.f(np.array(0.0)))
-    except Exception as error:
-        raise InputError(f"the law cannot be evaluated: {type(error).__name__}: {error}") from error
-
-    def refuse(assumption: str, where: float, because: str) -> None:
-        raise InputError(
-            f"the law is not an erosion function: {assumption} fails at q = {where:.10g}; {because}", NO_LAW
-        )
-
-    if not np.isfinite(f0) or abs(f0) > 1e-12:
-        because = "at the critical slope nothing erodes or settles" if np.isfinite(f0) else "f must be a number there"
-        raise InputError(
-            f"the law is not an erosion function: f(0) = 0 fails at q = 0, where f = {f0:.6g}; {because}", NO_LAW
-        )
-    limit = 0.0
-    if growth == LINEAR:
-        limit = _slope_at_infinity(law)
-        if not limit:
-            raise InputError(
-                "the law has not the growth = 'linear' that it is given: its slope f' does not settle at a positive "
-                "limit as q -> infinity; leave growth out if it tends to 0"
-            )
-        df = df - limit  # concave towards a line: what is positive and falls is f' - η0
-    # A derivative found by differences carries rounding of about 1e-14 f/(1+q); far below it nothing can be said.
-    resolved = np.abs(df) > 1e-9 * np.abs(f) / (1 + q)
-    flat = (df <= 0) & (resolved | (q < 20))
-    if limit and flat.any():
-        refuse("f'' < 0", q[np.argmax(flat)], CONCAVE)
-    middle = v.size // 2  # q = 0
-    if 0 < df[middle] * (1 + 1e-6) < df[middle + 1]:
-        refuse("f'' < 0", 0.0, CONCAVE)
-    if flat.any():
-        turned = df[middle] < 0 and "its sign is wrong, f must be positive where q > 0"
-        refuse("f' > 0", q[np.argmax(flat)], turned or "f must increase: a steeper slope erodes more")
-    rising = (df[1:] >= df[:-1] * (1 - 1e-10)) & resolved[1:] & resolved[:-1]
-
-    def refuse_convexity(within: Array) -> None:
-        at = np.flatnonzero(rising & within)
-        if at.size:
-            refuse("f'' < 0", q[at[np.argmin(np.abs(v[at]))]], CONCAVE)
-
-    # (1+q) f' is the slope of f in ln(1+q): where it dies out towards q = -1, f has a finite limit there.
-    slope = (1 + q) * df
-    if slope[0] < 0.5 * np.interp(np.log(1e-4), v, slope):
-        refuse("f -> -infinity as q -> -1", q[0], "no slope may become flat, so f falls without bound, as q/(1+q) does")
-    refuse_convexity(q[1:] < 100)
-    broken = ~(np.isfinite(f) & np.isfinite(df))
-    if broken.any():
-        where = q[np.argmax(broken)]
-        refuse("that f is finite with a derivative for every q > -1", where, "any slope may occur on the way")
-    if not limit and df[-1] > 0.5 * np.interp(np.log(1e4), v, df):
-        raise InputError(
-            "the law is not an erosion function: f(q)/q -> 0 as q -> infinity (sublinear growth) fails at "
-            f"q = {q[-1]:.10g}; a law whose slope f' tends to a positive limit is admitted with growth = 'linear'",
-            NO_LAW,
-        )
-    refuse_convexity(q[1:] >= 100)
-    number("f'(0)", df[middle] + limit, NO_LAW)

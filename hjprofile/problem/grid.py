@@ -13,6 +13,7 @@ from hjprofile.errors import InputError
 from hjprofile.problem.ranges import number, read_only, whole
 
 FARTHEST, LOOKS = 4096.0, 2000  # how far down a function is looked at, and at how many places between x and 2x
+FEWEST_CELLS = 4
 NARROWEST = 1e-6  # window, as a part of its distance from x = 0: rounding must not join its nodes
 NOISE = 1e-11  # of the difference quotients there
 
@@ -32,7 +33,7 @@ class Grid:
     def __post_init__(self) -> None:
         right = number("right", self.right)
         left = number("left", self.left, key="left of a window" if right else "left")
-        cells = whole("cells", self.cells, 4)
+        cells = whole("cells", self.cells, FEWEST_CELLS)
         if not right - left > NARROWEST * abs(right):
             raise InputError(f"left = {left} must be less than right = {right:g}")
         for name, value in (("left", left), ("cells", cells), ("right", right)):
@@ -75,7 +76,7 @@ class Grid:
         needed = int(self.cells) * cell
         if needed > memory:
             most = memory // cell
-            remedy = f"at most {most} cells fit" if most >= 4 else "keep fewer snapshots"
+            remedy = f"at most {most} cells fit" if most >= FEWEST_CELLS else "keep fewer snapshots"
             raise InputError(
                 f"cells = {self.cells} with {snapshots} snapshots needs {min(needed, 2**99) / 2**30:.3g} GiB of "
                 f"memory and this machine has {memory / 2**30:.3g}; {remedy}"

@@ -8,37 +8,48 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, ClassVar
 
 import numpy as np
 
 from hjprofile.errors import InputError
-from hjprofile.problem.erosion import Array, ErosionLaw
+from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid, grid_from, start_of
+from hjprofile.problem.kinds import LIST, NUMBER, TEXT
 from hjprofile.problem.lists import above_minus_one, numbers, same_length, within
-from hjprofile.problem.ranges import number, shown
+from hjprofile.problem.paths import located
+from hjprofile.problem.ranges import Array, number, shown
+from hjprofile.problem.schema import Choice, choice, table_of
 from hjprofile.problem.units import Units
+from hjprofile.problem.user_code import evaluating, load_function, values_at
 
 TAIL = 1e-6  # mass and slope that a grid may cut off on the left; a grid solver's own error is larger
 GAUSS = np.polynomial.legendre.leggauss(16)
+kind = partial(choice, into="source")  # declares the maker of a profile
 
 
 class Profile:
-    """An initial profile. Subclasses give `W`, the left end of the support and the `[profile]` table.
+    """An initial profile. Subclasses give `W` and the left end of the support.
 
     Attributes:
+        source: the `[profile]` table of a function that made this profile, as the class cannot compute it; else empty.
         inflow: flux F that enters at the left end of a grid; 0 where q = 0 there.
         units: of a survey, else None.
         account: a sentence on what was done to the data, or "".
     """
 
+    choice: ClassVar[Choice]
+    source: Mapping[str, Any] = MappingProxyType({})
     units: Units | None = None
     account: str = ""
 
     @property
     def table(self) -> Mapping[str, Any]:
         """The `[profile]` table of a case file that makes this profile again."""
-        raise NotImplementedError
+        return self.source or self.choice.table(vars(self))
 
     @property
     def inflow(self) -> float:
@@ -91,6 +102,7 @@ class Profile:
             )
 
 
+@kind("kinks", positions=LIST, amplitudes=LIST)
 @dataclass(frozen=True, eq=False)
 class Kinks(Profile):
     """q jumps up to amplitudes[j] at positions[j] and decays by R'(q) q_x = -q (theory, §5); 0 on the left."""
@@ -105,10 +117,6 @@ class Kinks(Profile):
             raise InputError(f"positions = {x.tolist()} must increase from left to right")
         object.__setattr__(self, "positions", x)
         object.__setattr__(self, "amplitudes", a)
-
-    @property
-    def table(self) -> Mapping[str, Any]:
-        return {"kind": "kinks", "positions": self.positions.tolist(), "amplitudes": self.amplitudes.tolist()}
 
     def start(self, tail: float = TAIL) -> float:
         return float(self.positions[0])
@@ -159,6 +167,7 @@ class Kinks(Profile):
         return W
 
 
+@kind("bumps", amplitudes=LIST, centres=LIST, widths=LIST)
 @dataclass(frozen=True, eq=False)
 class Bumps(Profile):
     """q = Σ a exp(-((x - c)/w)²)."""
@@ -191,10 +200,6 @@ class Bumps(Profile):
         self._check_slopes(grid.right)
         super().check(grid, law)
 
-    @property
-    def table(self) -> Mapping[str, Any]:
-        return {"kind": "bumps"} | {n: getattr(self, n).tolist() for n in ("amplitudes", "centres", "widths")}
-
     def excess(self, x: Array, law: ErosionLaw | None = None) -> Array:
         bumps = zip(self.amplitudes, self.centres, self.widths, strict=True)  # all at once would fill memory
         return sum((a * np.exp(-np.square((x - c) / w)) for a, c, w in bumps), np.zeros_like(x))
@@ -211,6 +216,7 @@ class Bumps(Profile):
             return sum((mass * erfc((c - x) / w) for mass, c, w in bumps), np.zeros_like(x))
 
 
+@kind("points", x=LIST, q=LIST)
 @dataclass(frozen=True, eq=False)
 class Points(Profile):
     """q is linear between points (x, q), jumps where an x is repeated, and is 0 outside."""
@@ -232,10 +238,6 @@ class Points(Profile):
         above_minus_one("q", q)
         object.__setattr__(self, "x", x)
         object.__setattr__(self, "q", q)
-
-    @property
-    def table(self) -> Mapping[str, Any]:
-        return self.source or {"kind": "points", "x": self.x.tolist(), "q": self.q.tolist()}
 
     def start(self, tail: float = TAIL) -> float:
         return float(self.x[0])
@@ -276,6 +278,7 @@ class Points(Profile):
         return self.height + mass[j] + s * (self.q[j] + 0.5 * part * np.diff(self.q)[j])
 
 
+@kind("steady", flux=NUMBER, kink=NUMBER)
 @dataclass(frozen=True, eq=False)
 class Steady(Profile):
     """The steady slope q = f⁻¹(a/(1 - a x)), whose flux is a everywhere, right of a kink at s0 (theory, §6e-f).
@@ -290,10 +293,6 @@ class Steady(Profile):
         object.__setattr__(self, "flux", number("flux", self.flux))
         if self.kink is not None:
             object.__setattr__(self, "kink", number("kink", self.kink))
-
-    @property
-    def table(self) -> Mapping[str, Any]:
-        return {"kind": "steady", "flux": self.flux} | ({} if self.kink is None else {"kink": self.kink})
 
     @property
     def inflow(self) -> float:
@@ -351,10 +350,6 @@ class Given(Profile):
         if not callable(self.u):
             raise InputError(f"u = {shown(self.u)} must be a function of x")
 
-    @property
-    def table(self) -> Mapping[str, Any]:
-        return self.source or {"kind": "python", "file": "", "function": getattr(self.u, "__name__", "u")}
-
     def start(self, tail: float = TAIL) -> float:
         return np.nan  # not known for certain; `check` looks at the first cell
 
@@ -362,10 +357,8 @@ class Given(Profile):
         return grid_from(start_of(lambda x: self.W(x, None), tail), cells)  # type: ignore[arg-type]
 
     def check(self, grid: Grid, law: ErosionLaw) -> None:
-        try:
+        with evaluating("the profile"):
             q = self.q_means(grid, law)
-        except Exception as error:
-            raise InputError(f"the profile cannot be evaluated: {type(error).__name__}: {error}") from error
         if not np.all(np.isfinite(q)):
             i = int(np.argmin(np.isfinite(q)))
             raise InputError(f"the profile is not finite near x = {grid.centres[i]:.6g}")
@@ -378,13 +371,7 @@ class Given(Profile):
 
     @np.errstate(all="ignore")  # in branches that the function does not use; `check` looks at the values
     def W(self, x: Array, law: ErosionLaw) -> Array:
-        try:
-            u = np.asarray(self.u(x.copy()), dtype=float)  # a function may write into its argument
-        except Exception:  # a function of single numbers
-            u = None
-        if u is None or u.shape != x.shape:
-            u = np.vectorize(self.u, otypes=[float])(x)
-        return u - x
+        return values_at(self.u, x) - x
 
 
 def kinks(positions: Sequence[float], amplitudes: Sequence[float]) -> Profile:
@@ -415,6 +402,7 @@ def points(x: Sequence[float], q: Sequence[float]) -> Profile:
     return Points(x, q)  # type: ignore[arg-type]
 
 
+@kind("steps", edges=LIST, values=LIST)
 def steps(edges: Sequence[float], values: Sequence[float]) -> Profile:
     """q = values[i] on (edges[i], edges[i+1]), 0 outside; edges are one more than values.
 
@@ -427,8 +415,7 @@ def steps(edges: Sequence[float], values: Sequence[float]) -> Profile:
     if np.any(np.diff(e) <= 0):
         raise InputError(f"edges = {e.tolist()} must increase from left to right")
     above_minus_one("values", v)
-    table = {"kind": "steps", "edges": e.tolist(), "values": v.tolist()}
-    return Points(np.repeat(e, 2)[1:-1], np.repeat(v, 2), source=table)
+    return Points(np.repeat(e, 2)[1:-1], np.repeat(v, 2))
 
 
 def steady(flux: float, kink: float | None = None) -> Profile:
@@ -447,4 +434,11 @@ def profile(u: Callable[[Any], Any]) -> Profile:
     u must rise, and have the critical slope (u_x = 1) from the left end of the grid on downwards. What it returns is
     looked at when a run begins, which raises InputError if that is not so.
     """
-    return Given(u)
+    return Given(u, table_of(from_file, {"file": "", "function": getattr(u, "__name__", "u")}))
+
+
+@kind("python", file=TEXT, function=TEXT)
+def from_file(file: str | Path, function: str, base: Path | None = None) -> Profile:
+    """A profile from the function of that name in a Python file, which is run."""
+    loaded = load_function(located(base or Path(), file), function)
+    return Given(loaded.function, content=loaded.content)

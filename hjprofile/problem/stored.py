@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-Array = np.ndarray
+from hjprofile.problem.grid import FEWEST_CELLS
+from hjprofile.problem.ranges import Array
 
 DIMENSIONS = {
     "time": ("time",), "x": ("node",), "x_cell": ("cell",),
@@ -15,7 +16,6 @@ DIMENSIONS = {
 }  # fmt: skip
 LARGEST = 1e100  # of an absolute value but K's: differences and squares of such numbers are finite
 LARGEST_K = 1e300  # a run in which K spans more decades cannot start
-FEWEST_CELLS = 4
 ROUNDING = 1e-9  # of the largest value: the arrays of every method agree to 1e-15
 
 

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from hjprofile.errors import InputError
-from hjprofile.problem.erosion import Array, located, require_file
 from hjprofile.problem.heights import crest, falls_on_the_whole, without_height
-from hjprofile.problem.profiles import Points, Profile
-from hjprofile.problem.ranges import RANGES, as_path, number, shown
+from hjprofile.problem.kinds import POSITIVE, TEXT
+from hjprofile.problem.paths import located, require_file
+from hjprofile.problem.profiles import Points, Profile, kind
+from hjprofile.problem.ranges import RANGES, Array, as_path, number, shown
 from hjprofile.problem.units import Units
 
 REPAIR_SLOPE = 0.05  # least slope that a repaired survey keeps, as a fraction of the critical slope
@@ -28,6 +29,7 @@ FORMAT = "the-file-of-a-survey"
 DOES_NOT_RISE = "a-survey-that-does-not-rise"
 
 
+@kind("survey", file=TEXT, critical_slope=POSITIVE, length=POSITIVE, repair=TEXT)
 @np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks refuse
 def survey(
     file: str | Path, critical_slope: float, length: float, repair: str | None = None, base: Path | None = None
@@ -50,9 +52,6 @@ def survey(
     account = ""
     if falls.size:
         height, account = _repaired(str(file), x, height, rows, least)
-    table = {"kind": "survey", "file": str(file), "critical_slope": critical_slope, "length": length}
-    if repair:
-        table["repair"] = repair
     units = Units(length, critical_slope, float(x[-1]), float(height[-1]))
     xi = (x - x[-1]) / length
     u = (height - height[-1]) / (length * critical_slope)
@@ -69,9 +68,7 @@ def survey(
             f"{'; ' if account else ''}the mean slope {mean:.3g} is {mean / critical_slope:.3g} of the critical: are x "
             "and height in one unit, and is critical_slope height over length, not an angle?"
         )
-    return Points(
-        np.repeat(xi, 2)[1:-1], np.repeat(q, 2), source=table, units=units, height=float(u[0] - xi[0]), account=account
-    )
+    return Points(np.repeat(xi, 2)[1:-1], np.repeat(q, 2), units=units, height=float(u[0] - xi[0]), account=account)
 
 
 def _check_that_it_rises(file: str, x: Array, height: Array, rows: Sequence[int], falls: Array, repaired: bool) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hjprofile.problem.erosion import Array
+from hjprofile.problem.ranges import Array
 
 SAME = 1e-9  # relative difference up to which units are equal
 

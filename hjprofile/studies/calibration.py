@@ -16,9 +16,9 @@ import numpy as np
 
 from hjprofile.errors import InputError, RunError, by_last_part, did_you_mean
 from hjprofile.problem.case import Case, load_case, resolved_case
-from hjprofile.problem.erosion import located
 from hjprofile.problem.heights import HIGHEST, without_height
 from hjprofile.problem.lists import as_numbers
+from hjprofile.problem.paths import located
 from hjprofile.problem.profiles import Units
 from hjprofile.problem.ranges import number, plain, shown
 from hjprofile.solvers.front_tracking import heights_at_end

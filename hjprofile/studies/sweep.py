@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hjprofile.errors import InputError, RunError, by_last_part, did_you_mean
-from hjprofile.problem.case import Case, find_case, parse_case, read_case
+from hjprofile.problem.case import Case, parse_case
+from hjprofile.problem.case_files import find_case, read_case
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.identity import digest_of
 from hjprofile.solvers.run import Array, Run
@@ -150,7 +151,7 @@ def _member(path: Path, content: Mapping[str, Any], values: Mapping[str, Any]) -
         case = parse_case(tables, path.stem, str(path), member.base)
         check_case(case)
     except InputError as error:
-        return member._replace(refused=str(error))
+        return member._replace(refused="; ".join(map(str, error.faults)))
     return member._replace(grid=case.grid, identity=digest_of(case))
 
 

@@ -21,7 +21,8 @@ from hjprofile.cli import solving
 from hjprofile.cli.common import Progress, app
 from hjprofile.output.checkpoint import NAME, Checkpoint
 from hjprofile.output.store import load_run
-from hjprofile.problem.case import load_case, shipped_cases
+from hjprofile.problem.case import load_case
+from hjprofile.problem.case_files import shipped_cases
 from hjprofile.solvers.grids import conservation
 from hjprofile.solvers.methods import solve_case
 from hjprofile.studies import dependence

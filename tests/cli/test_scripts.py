@@ -12,7 +12,7 @@ import pytest
 import tomli_w
 
 import hjprofile as hj
-from hjprofile.problem.case import shipped_cases
+from hjprofile.problem.case_files import shipped_cases
 from hjprofile.studies import chart, consistency, dependence, stability
 
 SCENE = {

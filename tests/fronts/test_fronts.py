@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hjprofile as hj
-from hjprofile.problem.case import shipped_cases
+from hjprofile.problem.case_files import shipped_cases
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink
 from hjprofile.solvers.front_tracking import begin
 from hjprofile.solvers.fronts.front_data import FAN, cut_into_fronts

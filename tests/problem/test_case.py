@@ -15,7 +15,8 @@ from errors_page import anchors
 from same_problem import same
 
 from hjprofile.errors import InputError
-from hjprofile.problem.case import find_case, load_case, parse_case, resolved_case, shipped_cases
+from hjprofile.problem.case import load_case, parse_case, resolved_case
+from hjprofile.problem.case_files import find_case, shipped_cases
 
 
 @pytest.fixture(scope="module")

@@ -165,7 +165,7 @@ def in_order(name, call, value):
         try:
             call(value)
         except (hj.InputError, hj.RunError) as error:
-            assert "\n" not in str(error)
+            assert all("\n" not in str(fault) for fault in getattr(error, "faults", [error]))
         except BaseException as error:
             raise AssertionError(f"{name} of {value!r:.30}: {type(error).__name__}: {error}") from error
     assert time.process_time() - started < LONGEST, f"{name} of {value!r:.30}"

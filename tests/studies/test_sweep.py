@@ -20,7 +20,7 @@ import hjprofile as hj
 from hjprofile.output import workers
 from hjprofile.output.folder import RECORD
 from hjprofile.output.sweep_results import KEPT, netcdf
-from hjprofile.problem.case import read_choices
+from hjprofile.problem.case_files import read_choices
 from hjprofile.solvers.methods import solve_case
 from hjprofile.studies import sweep as evidence
 from hjprofile.studies.sweep import QUANTITIES

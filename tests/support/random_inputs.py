@@ -6,7 +6,7 @@ import string
 import tomli_w
 from bad_cases import LAWS, PROFILES, VALID
 
-from hjprofile.problem.case import shipped_cases
+from hjprofile.problem.case_files import shipped_cases
 from hjprofile.solvers.methods import METHODS
 
 SHIPPED = {name: path.read_text(encoding="utf-8") for name, path in shipped_cases().items()}

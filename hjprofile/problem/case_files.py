@@ -1,0 +1,89 @@
+"""Case files on disk: where they are, and the TOML in them and on the command line."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from hjprofile.errors import InputError, did_you_mean
+from hjprofile.problem.paths import located
+from hjprofile.problem.ranges import as_path
+
+
+def shipped_cases() -> dict[str, Path]:
+    """Name -> file of the cases that come with the package."""
+    here = Path(__file__).resolve().parent.parent
+    for folder in (here / "cases", here.parent / "cases"):  # installed; a source checkout
+        if folder.is_dir():
+            return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+    return {}
+
+
+def find_case(case: str | Path) -> Path:
+    """The file of a case given by its path or by the name of a shipped one."""
+    path = located(Path(), as_path("case", case))
+    try:
+        if path.is_file():
+            return path
+    except OSError as error:  # a name too long, a folder that may not be entered
+        raise InputError(f"{case}: cannot be read: {error.strerror}", "a-file-that-cannot-be-read") from None
+    shipped = shipped_cases()
+    if str(case) in shipped:
+        return shipped[str(case)]
+    names = {name: name for name in shipped}
+    with suppress(OSError, ValueError):  # a folder that may not be entered, a NUL
+        names |= {beside.stem: str(beside) for beside in path.parent.glob("*.toml")}
+    hint = did_you_mean(path.stem, names)
+    folder = " (it is a folder)" if case and path.is_dir() else ""
+    raise InputError(
+        f"{case}: no such file{folder}, nor a case that comes with the package{hint} (they are: {', '.join(shipped)})",
+        "a-case-that-is-not-there",
+    )
+
+
+def read_case(path: Path) -> dict[str, Any]:
+    """The tables of a case file, unchecked. Raises InputError if it cannot be read or is not TOML."""
+    text = ""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        return tomllib.loads(text)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error}", "a-file-that-cannot-be-read") from None
+    except UnicodeDecodeError as error:
+        message = f"{path}: cannot be read: it is not text in UTF-8 ({error}); save it as UTF-8"
+        raise InputError(message, "a-file-that-cannot-be-read") from None
+    except (ValueError, RecursionError) as error:  # beside bad syntax: integers of thousands of digits, deep nesting
+        found = re.search(r"\(at line (\d+), column \d+\)$", str(error))
+        line = text.split("\n")[int(found[1]) - 1].strip()[:60] if found else ""
+        shown = f", which reads {line!r}" if line else ""
+        hint = "; write paths with / or in single quotes" if "\\" in line else ""
+        raise InputError(f"{path}: not valid TOML: {error}{shown}{hint}", "a-file-that-is-no-toml") from None
+
+
+def read_choices(arguments: Sequence[str]) -> dict[str, list[Any]]:
+    """Dotted key -> values, from texts as `erosion.m=0.5,1,2`: values as TOML writes them, or plain words for strings.
+
+    Raises InputError.
+    """
+    choices: dict[str, list[Any]] = {}
+    for argument in arguments:
+        key, equals, text = argument.partition("=")
+        if not equals:
+            raise InputError(f"{argument!r} must be written section.key=value,value,...", "a-sweep")
+        if key in choices:
+            raise InputError(f"{key} is there twice; name all its values at once", "a-sweep")
+        word = r"(?<=,)\s*(?!(?:true|false|inf|nan)\s*,)([A-Za-z][\w./-]*)\s*(?=,)"
+        for array in (text, re.sub(word, r'"\1"', f",{text},")[1:-1]):
+            with suppress(ValueError, RecursionError):
+                content = tomllib.loads(f"values = [{array}]")
+                if len(content) == 1 and content["values"]:
+                    choices[key] = content["values"]
+                    break
+        else:
+            message = f"{argument!r} must have values as TOML writes them, or plain words, with commas between"
+            raise InputError(message, "a-sweep")
+    return choices

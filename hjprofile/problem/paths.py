@@ -1,0 +1,32 @@
+"""Paths of the files that a case names."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+from hjprofile.errors import InputError, did_you_mean
+
+UNREADABLE = "a-file-that-cannot-be-read"  # heading of the page on errors
+
+
+def located(base: Path, file: str | Path) -> Path:
+    """Return the path of a file that a case names, relative to the folder `base`; ~ is the home folder."""
+    path = Path(file)
+    with suppress(RuntimeError):  # there is no such home
+        path = path.expanduser()
+    return base / path
+
+
+def require_file(path: Path) -> None:
+    """Raise InputError unless `path` is a file; a folder has nothing to read, a pipe or a device may have no end."""
+    try:
+        there = path.is_file()
+    except OSError as error:  # a name too long, a folder that may not be entered
+        raise InputError(f"file = {str(path)!r} cannot be read: {error.strerror}", UNREADABLE) from None
+    if not there:
+        beside: list[str] = []
+        with suppress(OSError, ValueError, NotImplementedError):  # no such folder, one that may not be entered, a NUL
+            beside = [other.name for other in path.parent.glob(f"*{path.suffix}") if other.is_file()]
+        hint = did_you_mean(path.name, beside)
+        raise InputError(f"file = {str(path)!r} does not exist, or is not a file{hint}", UNREADABLE)

@@ -1,0 +1,241 @@
+"""The schema of case files: keys, their kinds and defaults, each declared once and read both ways, from and to TOML."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import wraps
+from pathlib import Path
+from typing import Any, TypeVar
+
+from hjprofile.errors import InputError, did_you_mean
+from hjprofile.problem.kinds import Kind, is_number
+from hjprofile.problem.ranges import shown
+
+Maker = TypeVar("Maker", bound=Callable[..., Any])
+REQUIRED: Any = inspect.Parameter.empty  # the default of a key that has none
+SECTIONS = "erosion", "layer", "profile", "coefficient", "domain", "time", "solver", "output"
+ABOUT = {  # section -> heading of the page on errors
+    "erosion": "an-erosion-law",
+    "layer": "a-layer",
+    "profile": "a-profile",
+    "coefficient": "a-prescribed-coefficient",
+    "domain": "the-domain-and-the-grid",
+    "time": "time-and-snapshots",
+    "solver": "method-and-tolerance",
+}
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of a section.
+
+    Attributes:
+        default: REQUIRED if there is none.
+        filled: whether a resolved case states the key where it has its default.
+        check: function of name and value that raises InputError for a value out of range; None where the function that
+            takes the values checks them.
+    """
+
+    name: str
+    kind: Kind
+    default: Any = REQUIRED
+    filled: bool = False
+    check: Callable[[str, Any], Any] | None = None
+
+    def left_out(self, value: Any) -> bool:
+        """Return True if a resolved case does not state the key with this value."""
+        if self.filled or self.default is REQUIRED:
+            return False
+        return bool(value is None if self.default is None else value == self.default)
+
+
+def to_table(keys: Sequence[Key], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the table of a resolved case, in the order of the values; values of no key are ignored."""
+    known = {key.name: key for key in keys}
+    stated = {n: v for n, v in values.items() if n in known and not known[n].left_out(v)}
+    return {name: known[name].kind.write(value) for name, value in stated.items()}
+
+
+class Faults:
+    """The faults of one case file; each names file and section."""
+
+    def __init__(self, source: str):
+        self.source = source
+        self.found: list[tuple[str, InputError]] = []
+
+    def error(self, message: str, about: str = "", section: str = "") -> None:
+        where = f"[{section}] " if section else ""
+        error = InputError(f"{self.source}: {where}{message}", about or ABOUT.get(section, "a-case-file"))
+        self.found.append((section, error))
+
+    def stop(self) -> None:
+        """Raise one InputError with all faults, if any was found, section by section."""
+        if self.found:
+            order = ("", *SECTIONS)
+            raise InputError.of([error for _, error in sorted(self.found, key=lambda fault: order.index(fault[0]))])
+
+
+class Table:
+    """A section of a case file, from which keys are taken. Its faults are noted; from the first on it is not `sound`.
+
+    A section whose `values` are None is at fault already.
+    """
+
+    def __init__(self, faults: Faults, name: str, values: Any):
+        self.faults, self.name, self.sound = faults, name, isinstance(values, dict)
+        if values is not None and not self.sound:
+            faults.error(f"{name} must be a table, written [{name}]", "a-value-of-the-wrong-kind")
+        self.values: dict[str, Any] = dict(values) if self.sound else {}
+
+    def error(self, message: str, about: str = "") -> None:
+        self.sound = False
+        self.faults.error(message, about, self.name)
+
+    @contextmanager
+    def noting(self) -> Iterator[None]:
+        """Note faults that are raised inside as those of this section."""
+        try:
+            yield
+        except InputError as error:
+            for fault in error.faults:
+                self.error(str(fault), fault.about)
+
+    def take(self, keys: Sequence[Key]) -> dict[str, Any]:
+        """Return the values of these keys, the only ones that the section may have; None for one at fault.
+
+        An unknown key that is spelt like a missing one is taken for it, and is no fault of its own.
+        """
+        found: dict[str, Any] = dict.fromkeys(names := [key.name for key in keys])
+        if not self.sound:
+            return found
+        strange = [name for name in self.values if name not in names]
+        for key in keys:
+            if key.name in self.values:
+                found[key.name] = self.read(key)
+            elif key.default is REQUIRED:
+                self.missing(key, strange)
+            else:
+                found[key.name] = key.default
+        for name in strange:
+            written = name if name.isprintable() else repr(name)  # a line break, an escape sequence of the terminal
+            message = f"{written} is not a known key{did_you_mean(name, names)} (allowed: {', '.join(names)})"
+            self.error(message, "a-misspelt-key")
+        return found
+
+    def read(self, key: Key) -> Any:
+        """Return the value of a key that is there; None if it is at fault."""
+        value = self.values[key.name]
+        try:
+            found = key.kind.read(value)
+        except (TypeError, ValueError):
+            hint = " (without quotes)" if isinstance(value, str) and is_number(value) else ""
+            self.error(f"{key.name} = {shown(value)} must be {key.kind.words}{hint}", "a-value-of-the-wrong-kind")
+            return None
+        with self.noting():
+            return key.check(key.name, found) if key.check else found
+        return None
+
+    def missing(self, key: Key, strange: list[str], allowed: str = "") -> None:
+        """Note that a key is missing; the one of `strange` that may be meant for it is removed from there."""
+        from difflib import get_close_matches
+
+        near = get_close_matches(key.name, filter(str.isprintable, strange), 1)
+        strange[:] = [name for name in strange if name not in near]
+        hint = f" (is {near[0]!r} meant for it?)" if near else ""
+        self.error(f"{key.name} is missing{hint}; it must be {allowed or key.kind.words}", "a-key-that-is-missing")
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A law, profile or coefficient by its name in a case file: its keys, and the function that makes it from them.
+
+    `based` is True if that function reads files, and takes the folder `base` to which their paths are relative.
+    """
+
+    name: str
+    keys: tuple[Key, ...]
+    chooser: str = "kind"
+    make: Callable[..., Any] = dict
+    based: bool = False
+
+    def table(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the section of a resolved case with these values."""
+        return {self.chooser: self.name} | to_table(self.keys, values)
+
+
+def choice(name: str, chooser: str = "kind", into: str = "table", **kinds: Kind) -> Callable[[Maker], Maker]:
+    """Declare a function or a class as the maker of a choice, whose keys are its arguments with these kinds.
+
+    A key is optional if the argument has a default. The section of a case file that makes it again is stored in the
+    field `into` of what a function returns; a class computes it from its attributes.
+    """
+
+    def declared(make: Maker) -> Maker:
+        signature = inspect.signature(make)
+        arguments = signature.parameters
+        keys = tuple(Key(key, kind, arguments[key].default) for key, kind in kinds.items())
+
+        @wraps(make)
+        def made(*args: Any, **named: Any) -> Any:
+            found = make(*args, **named)
+            bound = signature.bind(*args, **named).arguments
+            return replace(found, **{into: maker.choice.table(bound)})
+
+        maker: Any = make if isinstance(make, type) else made
+        maker.choice = Choice(name, keys, chooser, maker, "base" in arguments)
+        return maker
+
+    return declared
+
+
+def table_of(make: Any, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the section of a resolved case for a maker that `choice` has declared, with these values."""
+    return make.choice.table(values)
+
+
+class Choices:
+    """A section in which one key names the choice that the other keys belong to."""
+
+    def __init__(self, chooser: Key, *choices: Any):
+        """Take choices, or what `choice` has declared."""
+        self.chooser = chooser
+        found = (each if isinstance(each, Choice) else each.choice for each in choices)
+        self.choices: dict[str, Choice] = {each.name: each for each in found}
+
+    def read(self, table: Table) -> dict[str, Any]:
+        """Return the values of the section; that of the chooser is None if there is no such choice."""
+        name = self._chosen(table)
+        if name is None:
+            return {self.chooser.name: None}
+        return table.take([self.chooser, *self.choices[name].keys])
+
+    def build(self, table: Table, base: Path) -> Any:
+        """Return the law, profile or coefficient that a section describes; None if it is at fault."""
+        values = self.read(table)
+        if not table.sound:
+            return None
+        chosen = self.choices[values.pop(self.chooser.name)]
+        with table.noting():
+            return chosen.make(**values, **({"base": base} if chosen.based else {}))
+        return None
+
+    def table(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the section of a resolved case with these values, among them that of the chooser."""
+        return to_table([self.chooser, *self.choices[values[self.chooser.name]].keys], values)
+
+    def _chosen(self, table: Table) -> str | None:
+        key, allowed = self.chooser, ", ".join(map(repr, self.choices))
+        if not table.sound:
+            return None
+        if key.name not in table.values and key.default is REQUIRED:
+            table.missing(key, list(table.values), f"a string, one of {allowed}")
+            return None
+        name = table.read(key) if key.name in table.values else key.default
+        if name is not None and name not in self.choices:
+            hint = did_you_mean(name, list(self.choices))
+            table.error(f"{key.name} = {name!r} is not known{hint or ';'} allowed are {allowed}", "a-misspelt-name")
+            return None
+        return name
