@@ -13,7 +13,7 @@ from errors_page import ROOT, anchors, page
 import hjprofile
 from hjprofile.errors import PAGE
 from hjprofile.problem.case import parse_case
-from hjprofile.solvers.methods import check_method
+from hjprofile.solvers.solve import check_case
 
 HOME = Path(hjprofile.__file__).parent
 SAYING = {"InputError", "RunError", "_leave", "error", "refuse"}  # what is called with a sentence
@@ -227,4 +227,4 @@ def test_the_examples_work(tmp_path, changes):
     """Each in the place of the same sections of a case, which is found good."""
     with_files(tmp_path)
     case = parse_case(VALID | {"domain": {"left": -6.0, "cells": 40}} | changes, "page", "errors.md", tmp_path)
-    check_method(case)
+    check_case(case)

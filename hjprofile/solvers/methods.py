@@ -184,7 +184,8 @@ _OFF_GRID = (
     ),
 )  # fmt: skip
 _ROWS = (_second_order(), *_first_order(), *_high_order(), *_OFF_GRID)
-METHODS: Mapping[str, Method] = MappingProxyType({row.name: row for form in Form for row in _ROWS if row.form is form})
+_TABLE = {row.name: row for form in Form for row in _ROWS if row.form is form}
+METHODS: Mapping[str, Method] = MappingProxyType(_TABLE)
 
 
 def named(form: Form | None = None) -> tuple[str, ...]:

@@ -23,7 +23,7 @@ from hjprofile.problem.case import Case, load_case
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import bumps
 from hjprofile.problem.ranges import instance
-from hjprofile.solvers.method import Form, requirements
+from hjprofile.solvers.method import Feature, Form, require, requirements
 from hjprofile.solvers.methods import METHODS, find_method
 from hjprofile.solvers.run import Run
 from hjprofile.solvers.solve import solve_characteristics, solve_conservative, solve_with, track_fronts
@@ -123,6 +123,7 @@ def check_consistency(
     """
     instance("problem", problem, Problem)
     instance("grid", grid, Grid)
+    require("the consistency test", set(Feature) - {Feature.LAYER}, requirements(problem, refresh))
     steep = problem.law.grows_linearly
     finest = min(max(grid.cells, LEAST_CELLS), MOST_CELLS) // 8 * 8
     ladder = [finest // 8, finest // 4, finest // 2, finest]

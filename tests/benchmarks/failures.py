@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 import hjprofile as hj
 from hjprofile.output.plots.study_pictures import stability_picture
 from hjprofile.solvers.grids import hamilton_jacobi as hj_form
+from hjprofile.solvers.methods import FLUXES
 from hjprofile.solvers.run import Breakdown
 from hjprofile.studies import stability as study
 
@@ -65,7 +66,7 @@ def pictures():
         return march(study._Laboratory(data, **options), data, number, end)[:2]
 
     def noisy(number, end):
-        scheme = hj_form.HamiltonJacobi(data.law, data.grid, data.W, hj_form.FLUXES["godunov"])
+        scheme = hj_form.HamiltonJacobi(data.law, data.grid, data.W, FLUXES["godunov"])
         study._roughen(scheme, study.SAWTOOTH)
         return march(scheme, data, number, end)[:2]
 
@@ -86,7 +87,7 @@ def pictures():
     curves = []
     for p, colour in ((0.1, GOOD), (1e-2, WORSE), (1e-3, BAD)):
         hollow = data_of(hj.Problem(hj.rational(), hj.steps([-3.0, -2.0], [p - 1.0]), end=1.0), -4.0)
-        scheme = hj_form.HamiltonJacobi(hollow.law, hollow.grid, hollow.W, hj_form.FLUXES["godunov"])
+        scheme = hj_form.HamiltonJacobi(hollow.law, hollow.grid, hollow.W, FLUXES["godunov"])
         steps = np.array(march(scheme, hollow, 0.9, 1.0)[2][1:])
         curves.append((steps.T, colour, f"1 + q = {p:g}: {len(steps)} steps"))
     picture("hollow", curves, "godunov: time steps in a hollow with q near -1, 400 cells", y="Δt", x_label="t")
@@ -94,7 +95,7 @@ def pictures():
     for most, colour in ((1e2, GOOD), (1e6, WORSE), (1e12, BAD)):
         width = np.log(most) / (5.0 / 6.0)
         block = data_of(hj.Problem(hj.rational(), hj.steps([-1.0 - width, -1.0], [5.0]), end=1.0), -2.0 - width)
-        scheme = hj_form.HamiltonJacobi(block.law, block.grid, block.W, hj_form.FLUXES["godunov"])
+        scheme = hj_form.HamiltonJacobi(block.law, block.grid, block.W, FLUXES["godunov"])
         steps = np.array(march(scheme, block, 0.9, 1.0)[2][1:])
         curves.append((steps.T, colour, f"K up to {most:.0e}: {len(steps)} steps"))
     picture("factor", curves, "godunov: time steps where K is large, 400 cells", y="Δt", x_label="t")

@@ -343,9 +343,7 @@ def main() -> None:
 
     if not (options.list or options.unchecked) and (failed := verdict(None)):
         sys.exit(f"without a mutant: {failed}")
-    signal.signal(
-        signal.SIGINT, signal.default_int_handler
-    )  # nohup ignores it, as would the tests
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # nohup ignores it, as would the tests
     until, count = time.monotonic() + 3600.0 * options.hours, Counter[str]()
     rows = ["| mutant | before | after | killed by | s |", "|---|---|---|---|---|"]
     for number, mutant in enumerate(drawn(options.only, options.seed)):

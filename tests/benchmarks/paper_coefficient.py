@@ -12,7 +12,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 import oracles
 
 import hjprofile as hj
-from hjprofile.solvers.methods import HJ_METHODS
+from hjprofile.solvers.method import Form
+from hjprofile.solvers.methods import named
 from hjprofile.studies.fractional import Fractional, fractional_steps
 
 FIGURES = Path(__file__).parents[2] / "docs" / "figures"
@@ -22,7 +23,7 @@ SLOPE = hj.bumps([1.2, -0.5], [-5.0, -3.2], [0.5, 0.4])
 
 
 def solve(problem, grid, method, **options):
-    return (hj.solve_hj if method in HJ_METHODS else hj.solve_conservative)(problem, grid, method, **options)
+    return (hj.solve_hj if method in named(Form.HEIGHT) else hj.solve_conservative)(problem, grid, method, **options)
 
 
 def figure(columns):
@@ -87,7 +88,7 @@ def orders():
     law, cells = hj.rational(), (200, 400, 800, 1600)
     x, q = oracles.characteristics_with_coefficient(law, lambda x: 0.5 * np.exp(-(((x + 2) / 0.4) ** 2)), -4.5, 0.3, k)
     problem = hj.Problem(law, hj.bumps([0.5], [-2.0], [0.4]), 0.3, [0.3], coefficient=hj.coefficient(k))
-    for method in (*HJ_METHODS, "conservative"):
+    for method in (*named(Form.HEIGHT), "conservative"):
         errors = []
         for n in cells:
             grid = hj.Grid(-4.0, n)

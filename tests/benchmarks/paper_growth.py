@@ -12,6 +12,7 @@ import hjprofile as hj
 from hjprofile.solvers.grids import hamilton_jacobi as hj_form
 from hjprofile.solvers.grids.kernels.sweep_law import Tabulated
 from hjprofile.solvers.grids.march import march
+from hjprofile.solvers.methods import FLUXES, METHODS
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 from oracles import SteepPair, bump_blow_up, isotonic_profile, longest_step
@@ -80,9 +81,9 @@ def wrong_speeds():
         off = []
         for cells in (500, 1000, 2000, 4000):
             grid = hj.Grid(-5.0, cells)
-            scheme = hj_form.scheme(problem, grid, "telescoping")
-            if name in hj_form.FLUXES:
-                scheme = hj_form.HamiltonJacobi(scheme.law, grid, scheme.W, hj_form.FLUXES[name])
+            scheme = METHODS["telescoping"].setup.scheme(problem, grid, None)
+            if name in FLUXES:
+                scheme = hj_form.HamiltonJacobi(scheme.law, grid, scheme.W, FLUXES[name])
             elif "second" in name:
                 scheme.law = replace(scheme.law, kernel=Tabulated(*scheme.law.kernel))
             W = march(scheme, problem, grid, 0.9).W[-1]

@@ -9,7 +9,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import hjprofile as hj
-from hjprofile.problem import LAYER_METHOD
+
+LAYER_METHOD = "conservative-telescoping"
 
 FIGURE = Path(__file__).parents[2] / "docs" / "figures" / "slow_erosion.png"
 GRID = hj.Grid(-10.0, 2000)

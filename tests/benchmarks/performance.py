@@ -27,7 +27,8 @@ import hjprofile as hj
 from hjprofile.output.plots.study_pictures import chart_picture
 from hjprofile.solvers.grids.kernels import grid_loops as grid_kernels
 from hjprofile.solvers.grids.kernels.wavefront import LANES
-from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS
+from hjprofile.solvers.method import Form
+from hjprofile.solvers.methods import named
 from hjprofile.studies.chart import Point, chart, seconds_to
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -205,10 +206,10 @@ def against_peers() -> str:
             for name, peer in peers.PEERS.items():
                 run = peer.prepare(data, cells)
                 runs[name] = partial(_timed, run)
-            for method in (*HJ_METHODS, *CONSERVATIVE_METHODS):
+            for method in (*named(Form.HEIGHT), *named(Form.SLOPE)):
                 if method.startswith("conservative-"):
                     continue
-                solve = hj.solve_hj if method in HJ_METHODS else hj.solve_conservative
+                solve = hj.solve_hj if method in named(Form.HEIGHT) else hj.solve_conservative
                 runs[f"hjprofile {method}"] = partial(_own, solve, problem, fine, method)
             fronts = cells // 4  # a front's piece is an arc, not a constant: as many as a quarter of the cells
             runs["hjprofile fronts"] = partial(_own, hj.track_fronts, problem, fine, fronts)

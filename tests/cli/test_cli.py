@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
+from grid_methods import TWINS, with_fault
 
 import hjprofile
 from hjprofile.cli import solving
@@ -23,8 +24,7 @@ from hjprofile.output.checkpoint import NAME, Checkpoint
 from hjprofile.output.store import load_run
 from hjprofile.problem.case import load_case
 from hjprofile.problem.case_files import shipped_cases
-from hjprofile.solvers.grids import conservation
-from hjprofile.solvers.methods import solve_case
+from hjprofile.solvers.solve import solve_case
 from hjprofile.studies import dependence
 from hjprofile.studies import stability as study
 
@@ -287,13 +287,11 @@ def test_check_passes(folder, call):
 def test_check_fails_and_says_where(folder, call, monkeypatch):
     """One flux that is 1 % too large: of all methods only that one is to blame."""
 
-    sound = conservation.FLUXES["conservative-godunov"]
-
     def faulty(*arguments):
-        F, speed = sound(*arguments)
+        F, speed = TWINS["godunov"](*arguments)
         return 1.01 * F, speed
 
-    monkeypatch.setattr(conservation, "FLUXES", {**conservation.FLUXES, "conservative-godunov": faulty})
+    with_fault(monkeypatch, "conservative-godunov", twin=faulty)
     write_case(folder, "short", **SHORT)
     write_case(folder, "flat", profile={"kind": "steps", "edges": [-2.0, -1.0], "values": [0.0]}, **SHORT)
     code, out, err = call("check", "short.toml", "flat.toml", "--out", "verdict")
@@ -315,7 +313,7 @@ def test_what_stops_a_run_from_outside(folder, call, monkeypatch, raised, words)
     def stopped(*_):
         raise raised
 
-    monkeypatch.setattr("hjprofile.solvers.methods.solve_case", stopped)
+    monkeypatch.setattr("hjprofile.solvers.solve.solve_case", stopped)
     code, out, err = call("run", "scene.toml")
     assert (code, out, err.count("\n")) == (1, "", 1) and words in err
     assert not contents("results")

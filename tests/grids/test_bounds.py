@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from grid_methods import solve_by
 
 import hjprofile as hj
 from hjprofile.problem.profiles import steps
@@ -10,12 +11,11 @@ from hjprofile.solvers.grids.bounds_monitor import MONOTONE, BoundsMonitor
 from hjprofile.solvers.grids.kernels import watch
 from hjprofile.solvers.grids.kernels.sweep_law import Rational
 from hjprofile.solvers.grids.kernels.watch import frozen_step
-from hjprofile.solvers.grids.kernels.wavefront import Godunov
-from hjprofile.solvers.methods import HJ_METHODS, PROMISES
+from hjprofile.solvers.methods import FLUXES, METHODS
 from hjprofile.solvers.run import State
 
 LAWS = {"rational": hj.rational(), "log": hj.log(), "power": hj.power(2.0)}
-FIRST_ORDER_METHODS = [name for name in PROMISES if name.removeprefix("conservative-") in hj_form.FLUXES]
+FIRST_ORDER_METHODS = [name for name, method in METHODS.items() if method.flux]
 
 
 def random_problem(rng, law):
@@ -45,8 +45,7 @@ def random_problem(rng, law):
 def check_promises(seed, law, method):
     rng = np.random.default_rng(seed)
     problem, grid = random_problem(rng, law)
-    solver = hj.solve_hj if method in HJ_METHODS else hj.solve_conservative
-    run = solver(problem, grid, method, cfl=1.0)
+    run = solve_by(problem, grid, method, cfl=1.0)
     assert run.done, (seed, run.status)
     assert all(np.isfinite(a).all() for a in (run.u, run.q, run.K)) and run.q.min() > -1.0
     assert run.broken_bounds == [], (seed, law, method, run.broken_bounds)
@@ -67,7 +66,7 @@ def test_promises_on_random_data(law, method, watchful):
 
 
 @pytest.mark.slow  # the other form takes the same steps, see test_consistency.py
-@pytest.mark.parametrize("method", hj_form.FLUXES)
+@pytest.mark.parametrize("method", FLUXES)
 @pytest.mark.parametrize("law", LAWS)
 def test_promises_on_5000_random_data(law, method, watchful):
     for seed in range(1000, 1000 + 5000 // len(LAWS) + 1):
@@ -155,7 +154,7 @@ def test_each_monitor_fires(name, monkeypatch):
 def test_what_a_method_does_not_promise_is_not_watched():
     problem = hj.Problem(hj.rational(), steps([-3.0, -2.0], [0.5]), end=0.3, snapshots=2)
     everything = set(hj.solve_hj(problem, hj.Grid(-4.0, 100), "godunov").bounds)
-    assert everything == {name for name, kept in PROMISES["godunov"].items() if kept}
+    assert everything == {name for name, kept in METHODS["godunov"].setup.promises.items() if kept}
     local = set(hj.solve_hj(problem, hj.Grid(-4.0, 100), "local-lax-friedrichs").bounds)
     assert everything - local == {"flux_maximum", "flux_variation", "kruzkov"}
     inflow = hj.Problem(hj.rational(), hj.steady(0.4), end=0.5)
@@ -170,9 +169,8 @@ def test_a_frozen_step_allows_for_K_of_the_next_node():
     grid, cell = hj.Grid(-1.0, 20), np.arange(20)
     q, K = np.where(cell == 10, -0.5, 0.0), np.append(1.0, np.where(cell <= 10, 1.0, 4.0))
     W = np.append(0.0, np.cumsum(q) * grid.dx)
-    monitor = BoundsMonitor(
-        hj.rational(), grid, W, 0.0, 1.0, MONOTONE, flux=Godunov, coefficient=hj.coefficient("1 - x")
-    )
+    problem = hj.Problem(hj.rational(), hj.steps([-0.5, -0.45], [-0.5]), end=1.0, coefficient=hj.coefficient("1 - x"))
+    monitor = BoundsMonitor(problem, grid, W, MONOTONE, flux=FLUXES["godunov"])
     monitor.observe(
         State(
             t=0.1, steps=BoundsMonitor.FROZEN_STEPS, first=0, q=q, law=Rational(), speed=4.0, bound=4.0,

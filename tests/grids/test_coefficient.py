@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import oracles
 import pytest
+from grid_methods import FLUXES, GRID_METHODS, HJ_METHODS, solve_by
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import lambertw
@@ -16,15 +17,14 @@ from hjprofile.solvers.grids import hamilton_jacobi as hj_form
 from hjprofile.solvers.grids.bounds_monitor import FOR_ANY_FACTOR, BoundsMonitor
 from hjprofile.solvers.grids.factor import Factor
 from hjprofile.solvers.grids.grid_law import grid_law
-from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS
 from hjprofile.solvers.run import Breakdown
 
-METHODS = (*HJ_METHODS, *CONSERVATIVE_METHODS)
+METHODS = GRID_METHODS
 CELLS = (200, 400, 800, 1600)
 
 
 def solve(problem, grid, method, **options):
-    return (hj.solve_hj if method in HJ_METHODS else hj.solve_conservative)(problem, grid, method, **options)
+    return solve_by(problem, grid, method, **options)
 
 
 def errors(problem, left, method, q_means, cells=CELLS):
@@ -164,7 +164,7 @@ def distances(first, second, values, method, longer=1.0):
     for q in (np.array(first), np.array(second)):
         W = np.concatenate([[0.0], np.cumsum(q) * grid.dx])
         factor = Factor(grid, broken_line(values))
-        schemes.append(hj_form.HamiltonJacobi(grid_law(law, q), grid, W, hj_form.FLUXES[method], 0.0, factor))
+        schemes.append(hj_form.HamiltonJacobi(grid_law(law, q), grid, W, FLUXES[method], 0.0, factor))
     t, apart = 0.0, []
     for _ in range(6):
         try:
@@ -386,7 +386,7 @@ def test_first_order_in_conservation_form_has_the_coefficient():
     q, grid = np.array([0.0, 0.0, 1.0, -0.5, 2.0]), hj.Grid(-1.0, 5)
     k = 1.0 + np.arange(6.0)
     scheme = conservation.FirstOrder(
-        grid_law(hj.rational(), q), grid, q, 0.0, 0.0, conservation.FLUXES["conservative-godunov"],
+        grid_law(hj.rational(), q), grid, q, 0.0, 0.0, FLUXES["godunov"],
         Factor(grid, hj.coefficient(lambda x: 1.0 + 5.0 * (x + 1.0))),
     )  # fmt: skip
     scheme.advance(0.01, 1, 0.0)

@@ -8,12 +8,12 @@ import sys
 import numpy as np
 import oracles
 import pytest
+from grid_methods import FLUXES, solve_by
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hjprofile as hj
 from hjprofile.solvers.grids import conservation
-from hjprofile.solvers.grids import hamilton_jacobi as hj_form
 from hjprofile.solvers.grids.factor import Factor
 from hjprofile.solvers.grids.grid_law import grid_law
 from hjprofile.solvers.grids.high_order import ssp_rk2, ssp_rk4
@@ -46,7 +46,7 @@ def factors(grid, levels, seed):
 @given(
     data=means,
     law=st.sampled_from(sorted(LAWS)),
-    flux=st.sampled_from(sorted(hj_form.FLUXES)),
+    flux=st.sampled_from(sorted(FLUXES)),
     factor=st.sampled_from(["nonlocal", "kept", "given"]),
     levels=st.integers(1, wavefront.LANES),
     inflow=st.sampled_from([0.0, 0.3]),
@@ -56,7 +56,7 @@ def test_a_sweep_is_as_many_single_steps(data, law, flux, factor, levels, inflow
     q = np.array([0.0, 0.0, *data])
     grid, law = hj.Grid(-0.02 * q.size, q.size), grid_law(LAWS[law], q)
     W = np.concatenate([[0.0], np.cumsum(q) * grid.dx])
-    plain = conservation.FirstOrder(law, grid, q, 0.0, inflow, conservation.FLUXES[f"conservative-{flux}"])
+    plain = conservation.FirstOrder(law, grid, q, 0.0, inflow, FLUXES[flux])
     plain.factor, kernel = factors(grid, levels, q.size)[factor]
     # k is at most e, and what it can grow to on the way
     bound = 1.5 * plain.evaluate() * (1.0 if factor == "nonlocal" else np.e**2)
@@ -66,7 +66,7 @@ def test_a_sweep_is_as_many_single_steps(data, law, flux, factor, levels, inflow
         plain.factor.given = lambda after=0.0: given(round(after / dt) * 1e-9)
     speed = plain.advance(dt, levels, bound)
     swept = W.copy()
-    met, grown = wavefront.hj_pass(swept, grid.dx, dt, levels, inflow, law.kernel, hj_form.FLUXES[flux](bound), kernel)
+    met, grown = wavefront.hj_pass(swept, grid.dx, dt, levels, inflow, law.kernel, FLUXES[flux].kernel(bound), kernel)
     # 64 steps of rounding of W up to 12; a viscosity reads f' to 1e-7 where a table's pieces are told apart by rounding
     assert np.abs(swept - plain.W).max() <= 1e-12
     # the plain scheme looks at the left end, too
@@ -103,7 +103,7 @@ def test_a_second_order_sweep_is_as_many_single_steps(data, law, factor, levels)
 def test_lanes_beyond_the_levels_do_nothing():
     """One level at a time or all at once, bit for bit."""
     W = np.cumsum(np.abs(np.sin(np.arange(301)))) * 0.01
-    for flux in hj_form.FLUXES.values():
+    for flux in (flux.kernel for flux in FLUXES.values()):
         together, apart = W.copy(), W.copy()
         law = grid_law(hj.rational(), W).kernel
         wavefront.hj_pass(together, 0.01, 0.002, 37, 0.0, law, flux(2.0), NONLOCAL)
@@ -175,7 +175,7 @@ NARROW = hj.Problem(hj.rational(), hj.bumps([0.8, -0.3], [-6.0, -5.8], [0.1, 0.0
 @pytest.mark.parametrize("method", [*WINDOWED, "conservative-weno5"])
 def test_what_is_left_out_changes_nothing(method, monkeypatch):
     """Waves on a twentieth of the slope: the run on the whole of it is the same, bit for bit."""
-    solve = hj.solve_hj if method in hj_form.FLUXES or method in ("eno2", "weno5") else hj.solve_conservative
+    solve = solve_by
     part = solve(NARROW, hj.Grid(-10.0, 1500), method)
 
     def everywhere(y, first, last, left, right):

@@ -4,19 +4,18 @@ import math
 
 import numpy as np
 import pytest
+from grid_methods import CONSERVATIVE_METHODS, FLUXES, GRID_METHODS, HJ_METHODS, TWINS, scheme_of, solve_by
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hjprofile as hj
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink
-from hjprofile.solvers.grids import conservation
 from hjprofile.solvers.grids import hamilton_jacobi as hj_form
 from hjprofile.solvers.grids.grid_law import grid_law
-from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS
 from hjprofile.solvers.run import Breakdown
 
 # A dozen and more neighbouring grids: the error jitters with the place of the kink inside its cell.
-METHODS = (*HJ_METHODS, *CONSERVATIVE_METHODS)
+METHODS = GRID_METHODS
 HIGHER_ORDER = ("eno2", "weno5", "conservative-eno2", "conservative-weno5")
 GRIDS = np.unique(np.geomspace(250, 4000, 16).round().astype(int)).tolist()
 
@@ -28,7 +27,7 @@ SCENES = {
 
 
 def solve(problem, grid, method, **options):
-    return (hj.solve_hj if method in HJ_METHODS else hj.solve_conservative)(problem, grid, method, **options)
+    return solve_by(problem, grid, method, **options)
 
 
 def errors(scene, method, cells):
@@ -146,8 +145,7 @@ def test_causality(method):
     law = grid_law(hj.rational(), np.array([0.0, 0.8]))
     alone = kink.W(grid.nodes, hj.rational())
     schemes = [
-        hj_form.HamiltonJacobi(law, grid, W, hj_form.FLUXES[method])
-        for W in (alone, alone + step.W(grid.nodes, hj.rational()))
+        hj_form.HamiltonJacobi(law, grid, W, FLUXES[method]) for W in (alone, alone + step.W(grid.nodes, hj.rational()))
     ]
     for _ in range(20):
         bound = 1.1 * max(scheme.evaluate() for scheme in schemes)
@@ -207,7 +205,7 @@ def test_comparison_principle_with_K_frozen(data, rise, method):
     K = np.exp(grid.dx * np.cumsum(law.f(q[0])[::-1])[::-1])
     K = np.append(K, 1.0)
     speed = max(float(np.max(law.derivative(mine)) * K.max()) for mine in q)
-    flux = conservation.FLUXES[f"conservative-{method}"]
+    flux = TWINS[method]
     stepped = [
         W[1:] - grid.dx / speed * flux(law, grid.dx, mine, np.append(mine[1:], mine[-1]), K, speed)[0]
         for W, mine in zip((low, high), q, strict=True)
@@ -275,8 +273,8 @@ def test_closed_forms_agree_with_each_other():
 @pytest.mark.parametrize("method", METHODS)
 def test_a_slope_below_minus_one_is_no_state(method):
     """At q = -1.5 the formulas of the law are finite, and f' is positive: the check of q alone tells."""
-    grid, form = hj.Grid(-3.0, 60), hj_form if method in HJ_METHODS else conservation
-    scheme = form.scheme(hj.Problem(hj.rational(), hj.steps([-2.0, -1.0], [0.5]), end=1.0), grid, method)
+    grid = hj.Grid(-3.0, 60)
+    scheme = scheme_of(hj.Problem(hj.rational(), hj.steps([-2.0, -1.0], [0.5]), end=1.0), grid, method)
     scheme.evaluate()
     kept = next(name for name in ("state", "W", "q") if name in scheme.memory)
     part = getattr(scheme, kept)

@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 import tomli_w
 from bad_cases import changed
+from grid_methods import LAYER_METHOD, scheme_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import resolved_layer
 
 import hjprofile as hj
-from hjprofile.problem import LAYER_METHOD
 from hjprofile.problem.case import load_case, parse_case, resolved_case
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, steady_slope
-from hjprofile.solvers.grids import conservation
 from hjprofile.solvers.grids.march import march
-from hjprofile.solvers.methods import METHODS, solve_case
+from hjprofile.solvers.layer.layer_scheme import WithLayer
+from hjprofile.solvers.methods import METHODS
+from hjprofile.solvers.solve import solve_case
 
 T2 = hj.bumps([0.8, -0.3], [-5.0, -3.0], [1.0, 0.5])
 KINK = hj.kinks([-6.0], [1.0])
@@ -36,7 +37,7 @@ def with_steady_layer(kink, thickness, cells):
     """
     grid = hj.Grid(-2.0, cells)
     problem = hj.Problem(hj.rational(), hj.steady(FLUX, kink), end=0.5, snapshots=2, thickness=thickness)
-    scheme = conservation.scheme(problem, grid, LAYER_METHOD)
+    scheme = scheme_of(problem, grid, LAYER_METHOD)
     scheme.H[:] = np.where(grid.centres < (kink or -np.inf), 0.3, 1.0 - FLUX - FLUX * grid.centres)
     record = march(scheme, problem, grid, 0.9)
     assert record.stop is None
@@ -107,13 +108,13 @@ def test_the_departure_is_that_of_all_saved_times():
 def test_a_vanishing_layer_is_the_limit_step_for_step(profile):
     """With ε = 1e-14 each step is that of the telescoping scheme for [eq1]; with 1e-300 too, as nothing is divided."""
     grid, problem = hj.Grid(-10.0, 400), hj.Problem(hj.rational(), profile, end=1.0)
-    limit = conservation.scheme(problem, grid, LAYER_METHOD)
-    thin = [conservation.scheme(replace(problem, thickness=e), grid, LAYER_METHOD) for e in (1e-14, 1e-300)]
+    limit = scheme_of(problem, grid, LAYER_METHOD)
+    thin = [scheme_of(replace(problem, thickness=e), grid, LAYER_METHOD) for e in (1e-14, 1e-300)]
     dt = 0.5 * grid.dx / limit.evaluate()
     for scheme in (limit, *thin):
         scheme.advance(dt, 64, np.inf)
         scheme.evaluate()
-    assert not isinstance(limit, conservation.WithLayer)
+    assert not isinstance(limit, WithLayer)
     for scheme in thin:
         assert np.abs(scheme.q - limit.q).max() <= 1e-12
         # K is that of the last step in the one and of q now in the other: a kink has moved by half a cell, and the
@@ -160,7 +161,7 @@ def test_other_methods_refuse_a_layer(method, tmp_path):
     if method == "auto":
         content["solver"]["tolerance"] = 1e-3
     case = parse_case(content, "scene", "scene.toml", tmp_path)
-    with pytest.raises(hj.InputError, match=r"^scene.toml: \[solver\] thickness = 0.1: .*telescoping only"):
+    with pytest.raises(hj.InputError, match=r"^scene.toml: \[solver\] .* a rolling layer .*: conservative-telescoping"):
         solve_case(case)
 
 
@@ -169,7 +170,7 @@ def test_evidence_about_the_limit_refuses_a_layer_in_a_sentence():
     from hjprofile.studies.stability import stability
 
     for call in (hj.check_consistency, lambda p, g: hj.chart("one", p, g), lambda p, g: stability("one", p, g)):
-        with pytest.raises(hj.InputError, match="by the method conservative-telescoping only"):
+        with pytest.raises(hj.InputError, match="does not take a rolling layer"):
             call(problem, grid)
 
 

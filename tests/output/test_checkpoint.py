@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
+from grid_methods import GRID_METHODS, LAYER_METHOD
 from stopped_runs import CONTENT, Stop, case_of, fingerprint
 
 import hjprofile as hj
 from hjprofile.output.checkpoint import NAME, Checkpoint
 from hjprofile.output.folder import RECORD
-from hjprofile.problem import LAYER_METHOD
 from hjprofile.problem.case import parse_case
 from hjprofile.problem.identity import identity
-from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS, solve_case
+from hjprofile.solvers.solve import solve_case
 
 KEPT = {"solver__refresh": 0.9}  # a factor that is kept across saved times and checkpoints
 PRESCRIBED = {"coefficient__kind": "expression", "coefficient__expression": "exp(-0.2*x)*(1 + 0.1*t)"}
@@ -36,7 +36,7 @@ STEPS = {  # kinks merge, a vertical step begins and leaves at the toe
 
 @pytest.mark.parametrize(
     ("method", "changes"),
-    [(m, {}) for m in (*HJ_METHODS, *CONSERVATIVE_METHODS)]
+    [(m, {}) for m in GRID_METHODS]
     + [("godunov", KEPT), ("eno2", KEPT), ("conservative", PRESCRIBED), (LAYER_METHOD, LAYER), ("conservative", LINE)]
     + [("telescoping", STEPS)],
 )

@@ -25,7 +25,7 @@ from hjprofile.files import write_whole
 from hjprofile.output.folder import RECORD, Owner, ResultFolder
 from hjprofile.output.store import load_run, summary, to_json, write_run
 from hjprofile.problem.case import parse_case
-from hjprofile.solvers.methods import solve_case
+from hjprofile.solvers.solve import solve_case
 
 KINKS = {
     "title": "Zwei Knicke, α = 1",  # attributes of a netCDF file are bytes

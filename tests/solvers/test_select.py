@@ -9,10 +9,8 @@ from known_heights import truth
 from random_scenes import grid_of, random_scene
 
 import hjprofile as hj
-from hjprofile.errors import RunError
 from hjprofile.problem.case import parse_case
 from hjprofile.solvers import select
-from hjprofile.solvers.closed_forms import closed_form
 from hjprofile.solvers.stop import Reason, Stop, Stopped
 
 T2 = hj.bumps([0.8, -0.3], [-5.0, -3.0], [1.0, 0.5])
@@ -162,7 +160,7 @@ def test_the_left_end_is_found():
     for profile, least, most in ((T2, -9.7, -8.7), (hj.steps([-6.0, -4.0], [0.5]), -6.5, -6.0), (tanh, -11.0, -9.0)):
         grid = profile.grid(100)
         assert least <= grid.left <= most
-        hj.Problem(hj.rational(), profile, end=1.0).check(grid, "auto")
+        hj.Problem(hj.rational(), profile, end=1.0).check(grid)
     assert T2.grid(100, tail=1e-11).left < T2.grid(100).left - 1.0
     with pytest.raises(hj.InputError, match=r"left must be given: the profile is not critical .* x = -4096"):
         hj.profile(lambda x: 2.0 * x).grid()

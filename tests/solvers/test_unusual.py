@@ -38,7 +38,7 @@ def test_scenes_are_admissible_and_of_all_kinds():
     found = Counter()
     for seed in ONE_OF_EACH:
         problem, grid = scene(seed)
-        problem.check(grid, "auto")
+        problem.check(grid)
         problem_again, grid_again = scene(seed)
         assert np.array_equal(problem_again.times, problem.times) and grid_again == grid
         found[problem.title.partition(",")[0]] += 1

@@ -11,7 +11,8 @@ from hjprofile.output.store import load_run, write_run
 from hjprofile.problem.case import load_case, parse_case, resolved_case
 from hjprofile.problem.line import moved
 from hjprofile.solvers.closed_forms import closed_form
-from hjprofile.solvers.methods import METHODS, solve_case
+from hjprofile.solvers.methods import METHODS
+from hjprofile.solvers.solve import solve_case
 from hjprofile.solvers.stop import Place, Reason, Time
 from hjprofile.solvers.stop import Stop as Reasoned
 from hjprofile.solvers.whole_line import Window

@@ -7,11 +7,11 @@ from types import SimpleNamespace
 import numba
 import numpy as np
 import pytest
+from grid_methods import TWINS, with_fault
 
 import hjprofile as hj
 from hjprofile.solvers.characteristics import moving_labels
-from hjprofile.solvers.grids import conservation, march
-from hjprofile.solvers.grids import hamilton_jacobi as hj_form
+from hjprofile.solvers.grids import march
 from hjprofile.solvers.grids.kernels import wavefront
 from hjprofile.solvers.grids.kink_tracker import KinkTracker
 from hjprofile.studies.consistency import Consistency, _within, check_consistency
@@ -75,27 +75,20 @@ FAULTY_KERNELS = {
 }
 
 
-sound_godunov = conservation.FLUXES["conservative-godunov"]
-
-
 def wrong_sign(*arguments):
-    F, speed = sound_godunov(*arguments)
+    F, speed = TWINS["godunov"](*arguments)
     return -F, speed
 
 
 def shifted_K(law, dx, ql, qr, K, bound):
-    return sound_godunov(law, dx, ql, qr, np.append(K[1:], 1.0), bound)
-
-
-def replaced(table, **entries):
-    return dict(table) | {name.replace("_", "-"): entry for name, entry in entries.items()}
+    return TWINS["godunov"](law, dx, ql, qr, np.append(K[1:], 1.0), bound)
 
 
 FAULTY_FLUXES = {
-    "HJ: another flux under its name": (hj_form, {"local_lax_friedrichs": wavefront.Godunov}),
-    "HJ: viscosity doubled": (hj_form, {"lax_friedrichs": lambda bound: wavefront.LaxFriedrichs(2.0 * bound)}),
-    "CL first order: wrong sign": (conservation, {"conservative_godunov": wrong_sign}),
-    "CL first order: K shifted": (conservation, {"conservative_godunov": shifted_K}),
+    "HJ: another flux under its name": ("local-lax-friedrichs", {"kernel": wavefront.Godunov}),
+    "HJ: viscosity doubled": ("lax-friedrichs", {"kernel": lambda bound: wavefront.LaxFriedrichs(2.0 * bound)}),
+    "CL first order: wrong sign": ("conservative-godunov", {"twin": wrong_sign}),
+    "CL first order: K shifted": ("conservative-godunov", {"twin": shifted_K}),
 }
 
 
@@ -115,15 +108,15 @@ def test_each_single_fault_in_a_sweep_turns_it_red(fault, monkeypatch):
 
 @pytest.mark.parametrize("fault", FAULTY_FLUXES)
 def test_each_single_fault_in_a_flux_turns_it_red(fault, monkeypatch):
-    where, entries = FAULTY_FLUXES[fault]
-    monkeypatch.setattr(where, "FLUXES", replaced(where.FLUXES, **entries))
+    method, changes = FAULTY_FLUXES[fault]
+    with_fault(monkeypatch, method, **changes)
     with np.errstate(all="ignore"):
         assert failures()
 
 
 def recorded(change):
     """The recorder of runs on a grid with a fault: `change` maps t, W, q, K and those saved before to what is saved."""
-    sound, before = march._Recorder.save, []
+    sound, before = march.Recorder.save, []
 
     def save(self, t, scheme):
         here = t, scheme.W.copy(), scheme.q.copy(), scheme.K.copy()
@@ -181,13 +174,13 @@ def test_a_K_that_underflows_does_not_hide_faults():
 
 @pytest.mark.parametrize("fault", FAULTY_RECORDS)
 def test_each_single_fault_in_what_is_saved_is_found(fault, monkeypatch):
-    monkeypatch.setattr(march._Recorder, "save", recorded(FAULTY_RECORDS[fault]))
+    monkeypatch.setattr(march.Recorder, "save", recorded(FAULTY_RECORDS[fault]))
     assert faults_of_records()
 
 
 @pytest.mark.parametrize("fault", ["K of the state saved before", "times shifted"])
 def test_faults_in_what_is_saved_turn_it_red(fault, monkeypatch):
-    monkeypatch.setattr(march._Recorder, "save", recorded(FAULTY_RECORDS[fault]))
+    monkeypatch.setattr(march.Recorder, "save", recorded(FAULTY_RECORDS[fault]))
     assert failures(*LEAVING)
 
 

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from grid_methods import GRID_METHODS, HJ_METHODS, solve_by
 
 import hjprofile as hj
 from hjprofile.problem.case import parse_case
 from hjprofile.solvers.grids.bounds_monitor import FOR_ANY_FACTOR
-from hjprofile.solvers.methods import CONSERVATIVE_METHODS, HJ_METHODS, check_method
+from hjprofile.solvers.solve import check_case
 from hjprofile.studies.fractional import fractional_steps
 
 TWO_KINKS = hj.Problem(hj.rational(), hj.kinks([-7.0, -5.0], [0.4, 1.2]), end=1.5, snapshots=4)
@@ -14,7 +15,7 @@ GRID = hj.Grid(-10.0, 1000)
 
 
 def solve(problem, grid, method, **options):
-    return (hj.solve_hj if method in HJ_METHODS else hj.solve_conservative)(problem, grid, method, **options)
+    return solve_by(problem, grid, method, **options)
 
 
 @pytest.mark.parametrize("method", ["conservative", "godunov"])
@@ -40,7 +41,7 @@ def test_the_default_lengths_and_what_is_refused():
         fractional_steps(hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=0.0), hj.Grid(-4.0, 100))
 
 
-@pytest.mark.parametrize("method", [*HJ_METHODS, *CONSERVATIVE_METHODS])
+@pytest.mark.parametrize("method", GRID_METHODS)
 def test_the_factor_is_that_of_the_last_refresh(method):
     """K at a saved time is the one in use: that of the state at nΔt; and nΔt is hit, whatever is saved."""
     times = [0.0, 0.1, 0.25, 0.3, 0.5, 0.6]
@@ -97,14 +98,12 @@ def test_what_follows_the_invariant_refuses(method, tmp_path):
         "domain": {"left": -5.0, "cells": 100}, "time": {"end": 1.0},
         "solver": {"method": method, "refresh": 0.1} | ({"tolerance": 1e-3} if method == "auto" else {}),
     }  # fmt: skip
-    with pytest.raises(
-        hj.InputError, match=rf"a.toml: \[solver\] refresh applies to methods on a grid; {method} follows"
-    ):
-        check_method(parse_case(content, "a", "a.toml", tmp_path))
+    with pytest.raises(hj.InputError, match=rf"a.toml: \[solver\] the method {method} does not take a factor"):
+        check_case(parse_case(content, "a", "a.toml", tmp_path))
     del content["solver"]["refresh"]
     content["coefficient"] = {"kind": "expression", "expression": "1 - x"}
-    with pytest.raises(hj.InputError, match=rf"a.toml: .*{method} follows the invariant I, which a given coefficient"):
-        check_method(parse_case(content, "a", "a.toml", tmp_path))
+    with pytest.raises(hj.InputError, match=rf"a.toml: .*{method} does not take a prescribed coefficient"):
+        check_case(parse_case(content, "a", "a.toml", tmp_path))
 
 
 def test_a_run_that_stops_is_no_reference():

@@ -21,7 +21,7 @@ from hjprofile.output import workers
 from hjprofile.output.folder import RECORD
 from hjprofile.output.sweep_results import KEPT, netcdf
 from hjprofile.problem.case_files import read_choices
-from hjprofile.solvers.methods import solve_case
+from hjprofile.solvers.solve import solve_case
 from hjprofile.studies import sweep as evidence
 from hjprofile.studies.sweep import QUANTITIES
 
