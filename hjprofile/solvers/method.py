@@ -18,7 +18,7 @@ from hjprofile.solvers.run import Run
 
 if TYPE_CHECKING:
     from hjprofile.solvers.grids.flux import Flux
-    from hjprofile.solvers.grids.grid_run import Setup
+    from hjprofile.solvers.grids.setup import Setup
 
 MOST_REFRESHES = 1_000_000  # of a factor that is kept for a while, in a run
 
@@ -34,12 +34,22 @@ class Form(Enum):
 class Feature(Enum):
     """What a problem can ask of a method beyond slow erosion of a slope that is critical at its left end."""
 
-    INFLOW = "a profile with a flux that enters at the left end (q is not 0 there)"
-    COEFFICIENT = "a prescribed coefficient"
-    REFRESH = "a factor that is kept for a while (refresh)"
-    LAYER = "a rolling layer (thickness)"
-    WHOLE_LINE = "the whole line (line = 'whole')"
-    LINEAR_GROWTH = "a law with growth = 'linear', under which kinks become vertical steps"
+    INFLOW = "a profile with a flux that enters at the left end", "take a profile with q = 0 there"
+    COEFFICIENT = "a prescribed coefficient", "leave [coefficient] out"
+    REFRESH = "a factor that is kept for a while", "leave refresh out"
+    LAYER = "a rolling layer", "leave [layer] out"
+    WHOLE_LINE = "line = 'whole'", "set line = 'half'"
+    LINEAR_GROWTH = "a law with growth = 'linear'", "take a law of sublinear growth"
+
+    @property
+    def words(self) -> str:
+        """What it is, in a sentence."""
+        return self.value[0]
+
+    @property
+    def remedy(self) -> str:
+        """How to do without it."""
+        return self.value[1]
 
 
 _OF_MODEL = {
@@ -111,7 +121,7 @@ def requirements(problem: Problem, refresh: float | None = None) -> frozenset[Fe
             )
         if not isinstance(problem.model, SlowErosion | Prescribed):
             (other,) = found & set(_OF_MODEL.values())
-            raise InputError(f"refresh = {refresh:g} does not go together with {other.value}; leave it out")
+            raise InputError(f"refresh = {refresh:g} does not go together with {other.words}; leave it out")
         found.add(Feature.REFRESH)
     return frozenset(found)
 
@@ -125,5 +135,5 @@ def require(who: str, supports: Collection[Feature], asked: Collection[Feature],
     if not missing:
         return
     able = [method.name for method in others if method.supports >= set(asked)]
-    hint = f"; methods that do: {', '.join(able)}" if able else ""
-    raise InputError(f"{who} does not take {' and '.join(feature.value for feature in missing)}{hint}")
+    hint = f"methods that do: {', '.join(able)}" if able else " and ".join(feature.remedy for feature in missing)
+    raise InputError(f"{who} does not take {' and '.join(feature.words for feature in missing)}; {hint}")

@@ -33,11 +33,12 @@ from hjprofile.solvers.grids.conservation import FirstOrder, HighOrderConservati
 from hjprofile.solvers.grids.factor import Factor
 from hjprofile.solvers.grids.flux import Flux
 from hjprofile.solvers.grids.grid_law import GridLaw, grid_law
-from hjprofile.solvers.grids.grid_run import Progress, Setup, solve_on_grid
+from hjprofile.solvers.grids.grid_run import Progress, solve_on_grid
 from hjprofile.solvers.grids.hamilton_jacobi import HamiltonJacobi, HighOrderHamiltonJacobi
 from hjprofile.solvers.grids.high_order import ORDERS
 from hjprofile.solvers.grids.kernels import wavefront
 from hjprofile.solvers.grids.scheme import Scheme
+from hjprofile.solvers.grids.setup import Setup
 from hjprofile.solvers.layer.layer_scheme import WithLayer
 from hjprofile.solvers.method import Feature, Form, Method
 from hjprofile.solvers.run import Array, Run

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from hjprofile.solvers import methods
-from hjprofile.solvers.grids.grid_run import Setup
+from hjprofile.solvers.grids.setup import Setup
 from hjprofile.solvers.method import Feature, Form
 from hjprofile.solvers.methods import FLUXES, METHODS, named
 from hjprofile.solvers.solve import solve_with

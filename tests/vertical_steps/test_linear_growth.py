@@ -415,7 +415,7 @@ def test_methods_that_cannot_carry_a_step_are_refused(method):
     with pytest.raises(hj.InputError, match="telescoping, conservative-telescoping, conservative, fronts") as error:
         hj.solve_case(parsed)
     assert method in str(error.value) and "[solver]" in str(error.value)
-    with pytest.raises(hj.InputError, match="does not take a law with growth = 'linear'"):
+    with pytest.raises(hj.InputError, match="does not take a law with growth"):
         if method == "auto":
             hj.solve(parsed.problem, 1e-5)
         elif method == "characteristics":
