@@ -76,6 +76,7 @@ ONE = {  # changes to VALID that are one fault, which could be taken for two -> 
         {"erosion": REMOVED, "erosoin": {"law": "log"}}, "erosoin is not a known key; did you mean 'erosion'?",
     ),
     "a required key misspelt": ({"time": {"ed": 1.0}}, "[time] end is missing (is 'ed' meant for it?)"),
+    "a required key in capitals": ({"time": {"END": 1.0}}, "[time] end is missing (is 'END' meant for it?)"),
     "a chooser misspelt": ({"profile": {"kynd": "steady", "flux": 0.3}}, "[profile] kind is missing (is 'kynd' meant"),
     "a law misspelt, whose keys are unknown": ({"erosion": {"law": "powr", "m": 2.0}}, "[erosion] law = 'powr' is not"),
     "a section that is no table": ({"domain": 3}, "domain = 3 must be a table"),
@@ -111,9 +112,9 @@ SEVERAL = {  # changes to VALID -> the beginnings of the sentences
     ),
     "constructors": (
         {"erosion": {"law": "expression", "expression": "q*q"}, "profile.amplitudes": [0.4], "domain.left": 2.0,
-         "time.snapshots": [2.0], "coefficient": {"kind": "expression", "expression": "y"}},
+         "time.snapshots": [2.0], "coefficient": {"kind": "expression", "expression": "y"}, "solver.cfl": 1e9},
         ["[erosion] the law is not an erosion function", "[profile] amplitudes has 1 entries", "[coefficient] express",
-         "[domain] left = 2.0 must be a negative", "[time] snapshots holds 2; times must"],
+         "[domain] left = 2.0 must be a negative", "[time] snapshots holds 2; times must", "[solver] cfl = 10"],
     ),
     "parts that do not go together": (
         {"layer": {"thickness": 0.1}, "coefficient": {"kind": "expression", "expression": "-1"}, "domain.left": -2.5},
@@ -263,6 +264,7 @@ def test_any_admissible_case_is_written_as_it_is_read(folder, content):
     for name in ("erosion", "profile", "coefficient", "layer"):
         stripped = {k: v.strip() if isinstance(v, str) else v for k, v in content.get(name, {}).items()}
         assert stored.get(name, {}) == stripped
+    assert stored["time"].keys() == {"end", "snapshots"} and stored["solver"].keys() >= {"method", "cfl"}
     for name in ("domain", "time", "solver"):
         assert stored[name] == stored[name] | {k: v for k, v in content[name].items() if k != "snapshots"}
 

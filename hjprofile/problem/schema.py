@@ -10,7 +10,7 @@ from functools import wraps
 from pathlib import Path
 from typing import Any, TypeVar
 
-from hjprofile.errors import InputError, did_you_mean
+from hjprofile.errors import InputError, did_you_mean, nearest
 from hjprofile.problem.kinds import Kind, is_number
 from hjprofile.problem.ranges import shown
 
@@ -140,11 +140,9 @@ class Table:
 
     def missing(self, key: Key, strange: list[str], allowed: str = "") -> None:
         """Note that a key is missing; the one of `strange` that may be meant for it is removed from there."""
-        from difflib import get_close_matches
-
-        near = get_close_matches(key.name, filter(str.isprintable, strange), 1)
-        strange[:] = [name for name in strange if name not in near]
-        hint = f" (is {near[0]!r} meant for it?)" if near else ""
+        near = nearest(key.name, filter(str.isprintable, strange))
+        strange[:] = [name for name in strange if name != near]
+        hint = f" (is {near!r} meant for it?)" if near else ""
         self.error(f"{key.name} is missing{hint}; it must be {allowed or key.kind.words}", "a-key-that-is-missing")
 
 

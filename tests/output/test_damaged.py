@@ -101,7 +101,9 @@ def copies(data, rng):
 
 
 def in_one_sentence(error):
-    assert len(str(error)) < 1000 and len(str(error).splitlines()) == 1
+    """One for each fault of a case file."""
+    faults = [str(fault) for fault in getattr(error, "faults", [error])]
+    assert all(len(sentence) < 1000 and len(sentence.splitlines()) == 1 for sentence in faults)
     return True
 
 
