@@ -233,11 +233,16 @@ def changed(mutant: Mutant) -> str:
     return source[: mutant.start] + mutant.text + source[mutant.end :]
 
 
-def mirror(path: str) -> str:
-    """The folder of the tests that mirrors a module."""
+def tests_of(path: str) -> tuple[list[str], list[str]]:
+    """The tests in the folder that mirrors a module, and all others; first those that name the module most often."""
     parts = Path(path).parts[1:]
-    named = ROOT / "tests" / parts[1]
-    return f"tests/{parts[1] if parts[0] == 'solvers' and named.is_dir() else parts[0]}"
+    inner = parts[0] == "solvers" and (ROOT / "tests" / parts[1]).is_dir()
+    folder = ROOT / "tests" / (parts[1] if inner else parts[0])
+    name = re.compile(rf"\b{Path(path).stem}\b")
+    named = {test: len(name.findall(test.read_text(encoding="utf-8"))) for test in ROOT.glob("tests/**/test_*.py")}
+    order = sorted(named, key=lambda test: (-named[test], test))
+    first = [test.relative_to(ROOT).as_posix() for test in order if test.parent == folder]
+    return first, [test.relative_to(ROOT).as_posix() for test in order if test.parent != folder]
 
 
 def copy_to(folder: Path) -> None:
@@ -324,9 +329,9 @@ def verdict(mutant: Mutant | None, near: bool = False) -> str:
         (folder / mutant.path).write_text(changed(mutant), encoding="utf-8")
         if before and Path(mutant.path).stem not in ("__init__", "disk_cache"):
             keep_what_is_as_it_was(folder, mutant.path, before)
-        first = mirror(mutant.path)
-        killer = failed_test(folder, [first], FIRST_LIMIT)
-        return killer if killer or near else failed_test(folder, ["tests", f"--ignore={first}"], REST_LIMIT)
+        first, rest = tests_of(mutant.path)
+        killer = failed_test(folder, first, FIRST_LIMIT)
+        return killer if killer or near else failed_test(folder, rest, REST_LIMIT)
 
 
 def main() -> None:

@@ -14,6 +14,7 @@ from hjprofile.solvers.characteristics import moving_labels
 from hjprofile.solvers.grids import march
 from hjprofile.solvers.grids.kernels import wavefront
 from hjprofile.solvers.grids.kink_tracker import KinkTracker
+from hjprofile.studies import consistency
 from hjprofile.studies.consistency import Consistency, _within, check_consistency
 from hjprofile.studies.records import records
 
@@ -95,10 +96,20 @@ FAULTY_FLUXES = {
 OF_MANY = "HJ: K shifted by a cell", "HJ: half the time step", "CL second order: K of the step's start"
 
 
-@pytest.mark.parametrize(
-    "fault", [f if f in OF_MANY else pytest.param(f, marks=pytest.mark.slow) for f in FAULTY_KERNELS]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", FAULTY_KERNELS)
 def test_each_single_fault_in_a_sweep_turns_it_red(fault, monkeypatch):
+    turns_red(fault, monkeypatch)
+
+
+@pytest.mark.parametrize("fault", OF_MANY)
+def test_a_fault_in_a_sweep_turns_it_red(fault, monkeypatch):
+    """With one numerical flux and the telescoping one: a faulty sweep is compiled for each of them."""
+    monkeypatch.setattr(consistency, "HJ_METHODS", ("godunov",))
+    turns_red(fault, monkeypatch)
+
+
+def turns_red(fault, monkeypatch):
     kernel, *changes = FAULTY_KERNELS[fault]
     monkeypatch.setattr(wavefront, kernel, mutated(getattr(wavefront, kernel), *changes))
     monkeypatch.setattr(march, "PATIENCE", 0)  # with a wrong K some would take millions of steps
