@@ -32,6 +32,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     from cyclopts import CycloptsError
 
     import hjprofile.cli.results
+    import hjprofile.cli.run_command
     import hjprofile.cli.solving
     import hjprofile.cli.studies  # noqa: F401  each has commands
     from hjprofile.cli.common import app

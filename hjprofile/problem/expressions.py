@@ -34,6 +34,29 @@ class _FloatConstants(ast.NodeTransformer):
         return ast.copy_location(ast.Constant(float(node.value)), node)  # type: ignore[arg-type]
 
 
+def _checked(tree: ast.AST, text: str, variables: tuple[str, ...], allowed: str) -> set[str]:
+    """Return the names that a syntax tree uses. Raises InputError for any part that is not on the list."""
+    called = {id(n.func) for n in ast.walk(tree) if isinstance(n, ast.Call)}
+    used = set()
+    for node in ast.walk(tree):
+        fine = isinstance(node, _NODES)
+        if isinstance(node, ast.Constant):
+            fine = isinstance(node.value, (int, float)) and not isinstance(node.value, bool)
+            fine = fine and bool(np.isfinite(float(node.value)))  # type: ignore[arg-type]
+        elif isinstance(node, ast.Name):
+            fine = node.id in (_FUNCTIONS if id(node) in called else variables)
+            used.add(node.id)
+        elif isinstance(node, ast.Call):
+            fine = isinstance(node.func, ast.Name) and len(node.args) == 1 and not node.keywords
+        if not fine:
+            part = ast.unparse(node) or type(node).__name__
+            hint = did_you_mean(part, variables)
+            if isinstance(node, ast.BitXor):
+                part, hint = "^", " (a power is written **);"
+            raise InputError(f"expression = {text!r} contains {part!r}{hint or ';'} {allowed}", ABOUT)
+    return used
+
+
 def arithmetic(text: str, *variables: str) -> Arithmetic:
     """An arithmetic expression in these variables: numbers, + - * / **, exp, log, log1p, expm1, sqrt.
 
@@ -45,28 +68,11 @@ def arithmetic(text: str, *variables: str) -> Arithmetic:
         raise InputError(f"expression = {shown(text)} must be a string", ABOUT)
     if len(text) > 1000:
         raise InputError(f"expression is {len(text)} characters long; at most 1000 are allowed", ABOUT)
-    used = set()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of '1or q' and the like, none of which is on the list
             tree = ast.parse(text.strip(), mode="eval")
-        called = {id(n.func) for n in ast.walk(tree) if isinstance(n, ast.Call)}
-        for node in ast.walk(tree):
-            fine = isinstance(node, _NODES)
-            if isinstance(node, ast.Constant):
-                fine = isinstance(node.value, (int, float)) and not isinstance(node.value, bool)
-                fine = fine and bool(np.isfinite(float(node.value)))  # type: ignore[arg-type]
-            elif isinstance(node, ast.Name):
-                fine = node.id in (_FUNCTIONS if id(node) in called else variables)
-                used.add(node.id)
-            elif isinstance(node, ast.Call):
-                fine = isinstance(node.func, ast.Name) and len(node.args) == 1 and not node.keywords
-            if not fine:
-                part = ast.unparse(node) or type(node).__name__
-                hint = did_you_mean(part, variables)
-                if isinstance(node, ast.BitXor):
-                    part, hint = "^", " (a power is written **);"
-                raise InputError(f"expression = {text!r} contains {part!r}{hint or ';'} {allowed}", ABOUT)
+        used = _checked(tree, text, variables, allowed)
         tree = ast.fix_missing_locations(_FloatConstants().visit(tree))
         code = compile(tree, "<expression>", "eval")
     except (SyntaxError, RecursionError, MemoryError, OverflowError, ValueError) as error:

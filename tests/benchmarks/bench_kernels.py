@@ -9,6 +9,7 @@ import pytest
 
 import hjprofile as hj
 from hjprofile.solvers.grids.grid_law import grid_law
+from hjprofile.solvers.grids.kernels.hancock import hancock_pass
 from hjprofile.solvers.grids.kernels.wavefront import (
     LANES,
     Godunov,
@@ -16,7 +17,6 @@ from hjprofile.solvers.grids.kernels.wavefront import (
     LocalLaxFriedrichs,
     Nonlocal,
     Telescoping,
-    hancock_pass,
     hj_pass,
 )
 

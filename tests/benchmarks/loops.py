@@ -8,8 +8,6 @@ import math
 import numba
 import numpy as np
 
-from hjprofile.solvers.grids.kernels import wavefront
-
 compiled = numba.njit(cache=True, error_model="numpy")
 
 
@@ -76,6 +74,6 @@ def with_K_one(kernel):
     lines = inspect.getsource(kernel.py_func).splitlines()
     kept = [line for line in lines if not line.strip().startswith("K[l] ") and line != "@vectorised"]
     assert len(lines) - len(kept) in (2, 3)  # the decorator, and one line or two
-    names = dict(vars(wavefront))
+    names = dict(kernel.py_func.__globals__)
     exec("\n".join(kept), names)
     return numba.njit(error_model="numpy", fastmath={"contract"})(names[kernel.py_func.__name__])

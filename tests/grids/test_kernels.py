@@ -18,7 +18,7 @@ from hjprofile.solvers.grids.factor import Factor
 from hjprofile.solvers.grids.grid_law import grid_law
 from hjprofile.solvers.grids.high_order import ssp_rk2, ssp_rk4
 from hjprofile.solvers.grids.kernels import grid_loops as kernels
-from hjprofile.solvers.grids.kernels import wavefront
+from hjprofile.solvers.grids.kernels import hancock, wavefront
 from hjprofile.solvers.grids.march import march
 
 LAWS = {"rational": hj.rational(), "log": hj.log(), "power": hj.power(2.0), "expression": hj.expression("q/(1+q)")}
@@ -92,7 +92,7 @@ def test_a_second_order_sweep_is_as_many_single_steps(data, law, factor, levels)
     for level in range(levels):
         plain, foot, top = oracles.muscl_hancock(plain, law, dx, dt, kernels.FLOOR_SHARE, k[level])
         grown, outflow = grown + dt * (foot - 1.0), outflow + dt * top
-    _, found_grown, found_outflow = wavefront.hancock_pass(swept, dx, dt, levels, 0.0, table.kernel, kernel)
+    _, found_grown, found_outflow = hancock.hancock_pass(swept, dx, dt, levels, 0.0, table.kernel, kernel)
     # rounding; with a table f to 1e-10 of its size and, in the step to the half time, f' to 1e-6, dt times
     allowed = 1e-11 if law.name == "rational" else 1e-5
     assert np.abs(swept - plain).max() <= allowed * (1.0 + np.abs(plain).max())

@@ -12,7 +12,7 @@ from grid_methods import TWINS, with_fault
 import hjprofile as hj
 from hjprofile.solvers.characteristics import moving_labels
 from hjprofile.solvers.grids import march
-from hjprofile.solvers.grids.kernels import wavefront
+from hjprofile.solvers.grids.kernels import hancock, wavefront
 from hjprofile.solvers.grids.kink_tracker import KinkTracker
 from hjprofile.studies import consistency
 from hjprofile.studies.consistency import Consistency, _within, check_consistency
@@ -45,7 +45,7 @@ def mutated(kernel, *changes):
     for old, new in changes:
         assert old in source
         source = source.replace(old, new)
-    names = dict(vars(wavefront))
+    names = dict(kernel.py_func.__globals__)
     exec(source, names)
     return numba.njit(error_model="numpy")(names[kernel.py_func.__name__])
 
@@ -111,7 +111,8 @@ def test_a_fault_in_a_sweep_turns_it_red(fault, monkeypatch):
 
 def turns_red(fault, monkeypatch):
     kernel, *changes = FAULTY_KERNELS[fault]
-    monkeypatch.setattr(wavefront, kernel, mutated(getattr(wavefront, kernel), *changes))
+    where = hancock if hasattr(hancock, kernel) else wavefront
+    monkeypatch.setattr(where, kernel, mutated(getattr(where, kernel), *changes))
     monkeypatch.setattr(march, "PATIENCE", 0)  # with a wrong K some would take millions of steps
     with np.errstate(all="ignore"):
         assert failures()
@@ -267,7 +268,8 @@ def test_a_sound_survey_passes(survey):
 def test_a_fault_shows_on_a_survey_too(fault, survey, monkeypatch):
     kernel, *changes = fault
     case = hj.load_case(survey)
-    monkeypatch.setattr(wavefront, kernel, mutated(getattr(wavefront, kernel), *changes))
+    where = hancock if hasattr(hancock, kernel) else wavefront
+    monkeypatch.setattr(where, kernel, mutated(getattr(where, kernel), *changes))
     monkeypatch.setattr(march, "PATIENCE", 0)
     with np.errstate(all="ignore"):
         assert failures(case.problem, case.grid)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -92,13 +93,17 @@ def draw_comparison(first: Run, second: Run, names: tuple[str, str]) -> Figure:
     last.set_xlabel(label_of_time)
     last.xaxis.set_major_formatter(numbers)
     last.set_xlim(*style.span(times))
-    found = [*largest[apart], *(d for _, d in distances)] or [1.0]
-    if max(found) > 10.0 * min(found):
-        last.set_yscale("log")
-        style.plain_numbers(last.yaxis)
-    else:
-        last.set_ylim(0.0, 1.1 * max(found))
+    _scale(last, [*largest[apart], *(d for _, d in distances)] or [1.0])
     figure.align_ylabels([top, middle, bottom, last])
     bar = style.bar_of(figure, ScalarMappable(norm, TIMES), label_of_time, bottom=bottom.get_position().y0)
     bar.yaxis.set_major_formatter(numbers)
     return figure
+
+
+def _scale(axes: Axes, found: list[float]) -> None:
+    """Logarithmic where distances differ by a factor of ten, else from 0."""
+    if max(found) > 10.0 * min(found):
+        axes.set_yscale("log")
+        style.plain_numbers(axes.yaxis)
+    else:
+        axes.set_ylim(0.0, 1.1 * max(found))

@@ -16,7 +16,7 @@ from hjprofile.solvers.grids.flux import Flux
 from hjprofile.solvers.grids.grid_law import GridLaw
 from hjprofile.solvers.grids.high_order import HighOrder
 from hjprofile.solvers.grids.kernels import grid_loops as kernels
-from hjprofile.solvers.grids.kernels import wavefront
+from hjprofile.solvers.grids.kernels import hancock
 from hjprofile.solvers.grids.scheme import BESIDE, Restorable
 from hjprofile.solvers.run import Array, Breakdown
 
@@ -155,7 +155,7 @@ class SecondOrder:
         self.before[a:b] = self.q[a:b]
         inflow = self.inflow if a == 0 else 0.0
         factor, idle = self.factor.window(self.law, dt * (np.arange(steps) + 0.5), a, b)
-        speed, grown, outflow = wavefront.hancock_pass(
+        speed, grown, outflow = hancock.hancock_pass(
             self.q[a:b], self.grid.dx, dt, steps, inflow, self.law.kernel, factor
         )
         self.W_left -= dt * steps * inflow

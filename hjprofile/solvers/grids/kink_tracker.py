@@ -170,10 +170,7 @@ def link(frames: Sequence[tuple[float, list[Sighting]]], dx: float, speed: Speed
             for other in claimants:
                 if other is not path:
                     living.remove(other)
-                    if set(other.times) & set(path.times):
-                        _merge(other, path, dx, speed)
-                    else:  # never seen side by side: one kink, which was out of sight for a while
-                        path.join(other, paths)
+                    _meet(other, path, paths, dx, speed)
             if path.times[-1] < t:
                 path.add(t, new)
         for path in [p for p in living if p.times[-1] < t]:
@@ -187,6 +184,14 @@ def link(frames: Sequence[tuple[float, list[Sighting]]], dx: float, speed: Speed
         if path.into:
             _settle(path, end, dx)
     return _without_flicker(paths, end, dx)
+
+
+def _meet(other: _Path, path: _Path, paths: list[_Path], dx: float, speed: Speed) -> None:
+    """Two paths that go on as one: a merge, or one kink that was out of sight for a while."""
+    if set(other.times) & set(path.times):
+        _merge(other, path, dx, speed)
+    else:  # never seen side by side
+        path.join(other, paths)
 
 
 def _claims(

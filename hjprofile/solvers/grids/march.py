@@ -152,13 +152,7 @@ class March:
         pace = self.pace
         try:
             for target in self.targets[self.targets > pace.t].tolist():
-                while pace.t < target:
-                    self.batch = self._choose(target)
-                    state = self._advance(happened)
-                    if state is not None:
-                        self._accept(state)
-                        if keeper and keeper.due():
-                            keeper.keep(pace.t, remember(self.parts))
+                self._go_to(target, happened, keeper)
         except Breakdown as broken:
             self._back()
             pace.speed = self.scheme.evaluate()
@@ -180,6 +174,16 @@ class March:
         self.batch = self.batch._replace(dt=0.0)  # no step led from this state to another
         with suppress(Halt, Breakdown):
             self.watchers.show_last(self._state(pace.t, pace.steps, pace.speed))
+
+    def _go_to(self, target: float, happened: Callable[[State], bool], keeper: Keeper | None) -> None:
+        """To a time that is hit exactly. Raises Breakdown, Halt, _StepTooSmall."""
+        while self.pace.t < target:
+            self.batch = self._choose(target)
+            state = self._advance(happened)
+            if state is not None:
+                self._accept(state)
+                if keeper and keeper.due():
+                    keeper.keep(self.pace.t, remember(self.parts))
 
     def _choose(self, target: float) -> _Batch:
         """As many steps as may be taken at once, of a length for a speed a little above the last one."""

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hjprofile.solvers.grids.kernels.grid_loops import FLOOR_SHARE
 from hjprofile.solvers.grids.kernels.sweep_law import (
     LANES,
     Linear,
@@ -81,13 +80,6 @@ def growth(z):
     return 1.0 + z * (1.0 + 0.5 * z)
 
 
-@vectorised
-def fine_growth(z):
-    """The same to fourth order, for the second-order scheme: where grains settle fast, z³ is not small beside it."""
-    z = max(z, -1.0)
-    return 1.0 + z * (1.0 + z * (0.5 + z * (1.0 / 6.0 + z * (1.0 / 24.0))))
-
-
 @by_type
 def thickening(law, z):
     """K_{i-1}/K_i in schemes of first order: `growth`, or e^z for a law of linear growth (theory, §14)."""
@@ -121,19 +113,6 @@ def read_factor(factor, node, lag, k):
 def factor_at(own, factor, k):
     """The factor: `own`, which K of the state comes to, or k, which was read."""
     return (lambda own, factor, k: own) if factor.instance_class is Nonlocal else (lambda own, factor, k: k)
-
-
-@by_type
-def across(K, z, factor, k):
-    """From K right of a cell, f dx in it and k, read on its left: K in its middle, and its rise to the left by that."""
-    if factor.instance_class is Nonlocal:
-        return lambda K, z, factor, k: (K * (1.0 + 0.5 * z), z)
-
-    def given(K, z, factor, k):
-        middle = 0.5 * (k + K)
-        return middle, (k - K) / middle
-
-    return given
 
 
 @by_type
@@ -249,85 +228,3 @@ def hj_pass(W, dx, dt, levels, inflow, law, flux, factor):
         if done <= n:
             W[done] = row[last]
     return speed_met, grown
-
-
-@vectorised
-def limited(back, ahead):
-    """Half the rise over a cell from its neighbours' rises: the central one, kept between theirs (MC)."""
-    half = min(min(abs(back), abs(ahead)), 0.25 * abs(back + ahead))
-    return math.copysign(half, ahead) if back * ahead > 0.0 else 0.0
-
-
-@vectorised
-def hancock_pass(q, dx, dt, levels, inflow, law, factor):
-    """Advances cell means q (from left to right) by `levels` <= LANES MUSCL-Hancock steps, in place.
-
-    A step takes q and K half a step ahead by q_t = -K_x f - K f' q_x and the flux from there, with K by the midpoint
-    rule, or as it is given for that half step. At either end of the grid slopes are one-sided; the flux is `inflow` at
-    the left end. No edge value lies further than FLOOR_SHARE of 1 + q from its mean, which keeps q > -1. Returns the
-    largest K f' of all steps, ∫(K(left) - 1) dt and ∫F(right) dt.
-    """
-    n = q.size
-    ratio = dt / dx
-    last = LANES - levels
-    row, here, ahead, K = np.zeros(LANES + 1), np.zeros(LANES), np.zeros(LANES), np.ones(LANES)
-    edge, z, flux, fastest = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
-    f, df, f_edge, df_edge, p = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
-    k_left = np.ones(LANES)
-    here[LANES - 1] = q[n - 1]
-    grown = outflow = speed_met = 0.0
-    for step in range(n + 3 * levels - 2):
-        row[LANES] = q[max(n - step - 2, 0)]
-        start = LANES - 1 - step // 3
-        starts = step % 3 == 0 and start >= last
-        if starts:
-            K[start], fastest[start] = 1.0, 0.0
-            read_factor(factor, n - step, 3, k_left)
-            K[start] = factor_at(K[start], factor, k_left[start])
-            ahead[start] = 2.0 * here[start] - row[start + 1]
-        first, beyond = LANES - 1 - (step - n + 1) // 3, LANES - 1 - (step - n) // 3
-        if step >= n - 1 and (step - n + 1) % 3 == 0:  # at the first cell
-            row[first + 1] = 2.0 * here[first] - ahead[first]
-        finishes = step >= n and (step - n) % 3 == 0
-        if finishes:  # one cell further, where the first cell's new value is due
-            value = ahead[beyond] - ratio * (flux[beyond] - inflow)
-            grown += dt * (K[beyond] - 1.0)
-            speed_met = max(speed_met, fastest[beyond])
-        read_factor(factor, n - 1 - step, 3, k_left)
-        if is_table(law):
-            for l in range(LANES):
-                p[l] = 1.0 + here[l]
-            read(p, law, f, df)
-        for l in range(LANES):
-            f_here, df_here = eroded(l, here[l], 1.0, law, f, df)
-            half = limited(here[l] - row[l + 1], ahead[l] - here[l])
-            most = FLOOR_SHARE * (1.0 + here[l])
-            half = max(min(half, most), -most)
-            z_here = f_here * dx
-            middle, drop = across(K[l], z_here, factor, k_left[l])
-            rise = middle * (0.5 * ratio * f_here * drop - ratio * df_here * half)
-            edge[l] = here[l] + half + rise
-            z[l] = z_here + df_here * rise * dx
-            df[l] = df_here
-        if is_table(law):
-            for l in range(LANES):
-                p[l] = 1.0 + edge[l]
-            read(p, law, f_edge, df_edge)
-        for l in range(LANES):
-            left = row[l + 1]  # before it is overwritten
-            f_out, df_out = eroded(l, edge[l], 1.0, law, f_edge, df_edge)
-            F = K[l] * f_out
-            row[l] = ahead[l] - ratio * (flux[l] - F)
-            flux[l] = F
-            fastest[l] = max(fastest[l], K[l] * max(df[l], df_out))
-            K[l] *= fine_growth(z[l])
-            K[l] = factor_at(K[l], factor, k_left[l])
-            ahead[l], here[l] = here[l], left
-        if starts:
-            outflow += dt * flux[start]
-        if finishes:
-            row[beyond] = value
-        done = n - step + 3 * (levels - 1)
-        if done < n:
-            q[done] = row[last]
-    return speed_met, grown, outflow
