@@ -1,8 +1,10 @@
 """Imports run one way, heavy packages stay in few named places, and everything public says what it is."""
 
 import ast
+from collections import Counter
 from functools import lru_cache
 from graphlib import TopologicalSorter
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -29,6 +31,27 @@ ONLY_IN = {  # package -> the modules and rooms that may import it
     "rich": ("cli",),
 }
 LONGEST = 450  # lines that can be read in one sitting
+# What must not know of what; in the columns folders or modules. Of the studies, `stability` makes schemes of its own.
+EXACT = ("solvers.fronts", "solvers.characteristics", "solvers.vertical_steps", "solvers.front_tracking")
+NEVER = {
+    "solvers.grids": (*EXACT, "solvers.layer", "solvers.whole_line", "solvers.units_of_the_law", "solvers.snapshots"),
+    "solvers.fronts": ("solvers.grids", "solvers.characteristics", "solvers.vertical_steps", "solvers.whole_line"),
+    "solvers.characteristics": ("solvers.grids", "solvers.fronts", "solvers.vertical_steps", "solvers.whole_line"),
+    "solvers.layer": (*EXACT, "solvers.whole_line"),
+    "solvers.vertical_steps": ("solvers.characteristics", "solvers.layer", "solvers.whole_line"),
+    "solvers.select": ("solvers.grids", "solvers.layer", "solvers.whole_line", "solvers.methods"),
+    "studies": tuple(f"solvers.{wing}" for wing in WINGS),
+    "output": tuple(f"solvers.{wing}" for wing in WINGS),
+    "cli": tuple(f"solvers.{wing}" for wing in WINGS),
+}
+ALLOWED = {("studies.stability", "solvers.grids")}
+# From the command `run` to the compiled sweep and back, as docs/development.md walks
+READING_PATH = (
+    "cli.run_command", "problem.case", "solvers.solve", "solvers.methods", "solvers.grids.grid_run",
+    "solvers.grids.march", "solvers.grids.hamilton_jacobi", "solvers.grids.factor", "solvers.grids.kernels.wavefront",
+)  # fmt: skip
+SHORT_ENOUGH = 1500  # lines of it, empty ones apart
+LONG_FUNCTIONS = {"hj_pass", "hancock_pass"}  # sweeps: one loop over lanes, whose parts must be seen together
 
 
 def name_of(path):
@@ -97,6 +120,70 @@ def test_every_room_is_there():
 @pytest.mark.parametrize("module", ROOMED)
 def test_imports_run_one_way(module):
     assert sorted(set(faults(module, tree(module)))) == []
+
+
+def forbidden(module, imports):
+    """Which of its imports a module must not know of."""
+    never = {place for part, places in NEVER.items() if inside(module, [part]) for place in places}
+    never -= {place for name, place in ALLOWED if name == module}
+    return sorted(name for name in imports if inside(name, never))
+
+
+@pytest.mark.parametrize("module", ROOMED)
+def test_what_must_not_be_known(module):
+    assert forbidden(module, own_imports(tree(module))) == []
+
+
+def test_a_forbidden_import_is_found():
+    for part, places in NEVER.items():
+        assert any(inside(m, [part]) for m in ROOMED)
+        for place in places:
+            known = [m for m in ROOMED if inside(m, [place])]
+            assert known and forbidden(f"{part}.something", known) == sorted(known)
+
+
+def test_the_core_can_be_read_without_its_extensions():
+    """What the grids need, however indirectly, is problems, grids, and what a run is."""
+    todo, core = {m for m in ROOMED if inside(m, ["solvers.grids"])}, set()
+    while todo:
+        core |= todo
+        todo = set().union(*(own_imports(tree(m)) for m in todo)) - {""} - core
+    extensions = (*EXACT, "solvers.layer", "solvers.whole_line", "solvers.closed_forms", "solvers.select", "studies")
+    assert [m for m in sorted(core) if inside(m, (*extensions, "output", "cli"))] == []
+
+
+def test_the_walk_from_the_command_to_the_kernel_is_short():
+    lines = [line for m in READING_PATH for line in MODULES[m].read_text(encoding="utf-8").splitlines() if line.strip()]
+    assert len(lines) <= SHORT_ENOUGH
+    for above, below in pairwise(READING_PATH[2:]):  # each is needed by the one before, or by what that needs
+        assert any(below in own_imports(tree(m)) for m in READING_PATH[: READING_PATH.index(below)]), (above, below)
+
+
+def test_no_two_modules_share_a_name():
+    names = Counter(path.name for path in MODULES.values() if path.name != "__init__.py")
+    assert [name for name, count in names.items() if count > 1] == []
+
+
+BRANCHES = (ast.For, ast.While, ast.If, ast.With, ast.Try)
+
+
+def nested(node, depth=0):
+    """How deep loops and conditions are nested in a function; those of functions inside it count by themselves."""
+    inner = [n for n in ast.iter_child_nodes(node) if not isinstance(n, ast.FunctionDef | ast.ClassDef | ast.Lambda)]
+    return max([depth, *(nested(n, depth + isinstance(n, BRANCHES)) for n in inner)])
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_functions_can_be_seen_whole(module):
+    """At most 60 lines, docstring apart, nested at most 4 deep, with at most 10 arguments where it is no command."""
+    for node in ast.walk(tree(module)):
+        if not isinstance(node, ast.FunctionDef):
+            continue
+        doc = node.body[0].end_lineno - node.body[0].lineno + 1 if ast.get_docstring(node) else 0
+        assert node.end_lineno - node.lineno + 1 - doc <= 60 or node.name in LONG_FUNCTIONS, node.name
+        assert nested(node) <= 4, node.name
+        count = len(node.args.posonlyargs + node.args.args + node.args.kwonlyargs)
+        assert count <= 10 or inside(module, ["cli"]), node.name
 
 
 def test_kernels_are_made_of_kernels():

@@ -14,7 +14,6 @@ from hjprofile.errors import InputError, RunError
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.ranges import instance
-from hjprofile.solvers.characteristics.shock_fitting import FINEST
 from hjprofile.solvers.closed_forms import closed_form
 from hjprofile.solvers.method import Feature, require, requirements
 from hjprofile.solvers.methods import METHODS
@@ -28,6 +27,7 @@ TOLERANCES = 1e-7, 1e-9, 1e-11
 REFERENCE_FRONTS = 12800
 STEEP_REFERENCE_FRONTS = 3200  # under a law of linear growth, where a front costs ten times as much
 REPEATS = 3
+FINEST = 1e-13  # tolerance of characteristics
 PATIENCE = 0.3  # seconds that a run may take before finer ones of its method are left out
 SNAPSHOTS = 5  # times over which errors are taken
 ROUNDING = 4.0 * float(np.finfo(float).eps)  # of u - x of order 1 at a node

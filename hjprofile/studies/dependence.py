@@ -28,7 +28,6 @@ from hjprofile.problem.coefficient import Coefficient, tabulated
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.ranges import instance
-from hjprofile.solvers.grids.scheme import MOST_STEPS
 from hjprofile.solvers.method import Feature, require, requirements
 from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.run import Array, Breakdown, Halt, Run
@@ -129,7 +128,7 @@ def solve_together(first: Problem, second: Problem, grid: Grid) -> tuple[Path, P
             bound = speed * (1.0 + FASTER)
             remaining = float(target) - t
             steps = max(1, math.ceil(remaining * bound / (DEFAULT_CFL * schemes[0].cfl_limit * grid.dx)))
-            batch = min(steps, MOST_STEPS, *(one.factor.steps for one in schemes))
+            batch = min(steps, *(one.factor.steps for one in schemes))
             dt = remaining / steps
             met = max([one.advance(dt, batch, bound) for one in schemes])
             if bound < met < np.inf:  # the steps are taken again, shorter

@@ -45,7 +45,7 @@ class Factor:
     def steps(self) -> int:
         """The most steps that may be taken at once."""
         varies = self.coefficient is not None and not self.held.size
-        return max(1, MOST_VALUES // self.grid.cells) if varies else LANES
+        return min(LANES, max(1, MOST_VALUES // self.grid.cells)) if varies else LANES
 
     def given(self, after: Any = 0.0, nodes: slice = EVERYWHERE) -> Array | None:
         """The factor at these nodes at times `after` from now, if q does not decide it; else None.
