@@ -1,6 +1,7 @@
 """Imports run one way, heavy packages stay in few named places, and everything public says what it is."""
 
 import ast
+import re
 from collections import Counter
 from functools import lru_cache
 from graphlib import TopologicalSorter
@@ -157,6 +158,27 @@ def test_the_walk_from_the_command_to_the_kernel_is_short():
     assert len(lines) <= SHORT_ENOUGH
     for above, below in pairwise(READING_PATH[2:]):  # each is needed by the one before, or by what that needs
         assert any(below in own_imports(tree(m)) for m in READING_PATH[: READING_PATH.index(below)]), (above, below)
+
+
+EVERYBODYS = {"run", "stop", "kernels"}  # parts of solvers/ that the page leaves out
+
+
+def part_of(module):
+    """`grids` for solvers.grids.march, `select` for solvers.select; "" for what is none of solvers/."""
+    names = module.split(".")
+    return names[1] if names[0] == "solvers" and len(names) > 1 else ""
+
+
+def test_the_page_for_developers_shows_the_imports_of_the_solvers():
+    page = (HOME.parent / "docs" / "development.md").read_text(encoding="utf-8")
+    shown = {}
+    for line in re.findall(r"^(\w+) +->(.*)$", page, flags=re.M):
+        shown[line[0]] = {name.strip() for name in line[1].split(",")} - {""}
+    found = {part_of(m): set() for m in ROOMED}
+    for module in ROOMED:
+        found[part_of(module)] |= {part_of(name) for name in own_imports(tree(module))}
+    own = set(found) - EVERYBODYS - {""}
+    assert shown == {part: found[part] & own - {part} for part in own}
 
 
 def test_no_two_modules_share_a_name():
