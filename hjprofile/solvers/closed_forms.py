@@ -17,6 +17,7 @@ from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
+from hjprofile.problem.model import Prescribed, WholeLine
 from hjprofile.problem.profiles import Kinks, Profile, Steady
 from hjprofile.solvers.run import Array, Event, KinkRecord, Run
 from hjprofile.solvers.snapshot_bounds import BOUNDS, SnapshotBounds
@@ -84,10 +85,10 @@ class ClosedForm:
 
 def closed_form(problem: Problem) -> ClosedForm | None:
     """The exact solution of a problem with the nonlocal factor whose data are one of those below; None for others."""
-    if problem.coefficient is not None:
+    if isinstance(problem.model, Prescribed):
         return None
     match problem.profile:
-        case Kinks(positions, amplitudes) if problem.line == "whole":
+        case Kinks(positions, amplitudes) if isinstance(problem.model, WholeLine):
             one = len(positions) == 1
             return travelling_wave(problem.law, float(amplitudes[0]), float(positions[0])) if one else None
         case Kinks(positions, amplitudes) if len(positions) == 1:

@@ -18,6 +18,7 @@ import numpy as np
 from hjprofile.errors import InputError, RunError
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
+from hjprofile.problem.model import LinearGrowth
 from hjprofile.problem.ranges import read_only, whole
 from hjprofile.solvers.data_resolution import EXACT, Resolution, compare_data
 from hjprofile.solvers.fronts.front_data import FrontData, cut_into_fronts
@@ -45,7 +46,7 @@ class Begun(NamedTuple):
 
 def begin(problem: Problem, left: float, fronts: int, exact: bool | None = None) -> Begun:
     """Cut the profile of a problem in units of the law, right of `left`, into `fronts` fronts."""
-    linear = problem.law.grows_linearly
+    linear = isinstance(problem.model, LinearGrowth)
     data, table = cut_into_fronts(problem, left, fronts, LINEAR if linear else SUBLINEAR)
     if linear and exact and not data.kinks_only:
         raise InputError("exact = True of other data than kinks is not available for a law with growth = 'linear'")

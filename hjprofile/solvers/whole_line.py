@@ -18,6 +18,7 @@ from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.line import moved, tail
+from hjprofile.problem.model import WholeLine
 from hjprofile.problem.profiles import TAIL
 from hjprofile.problem.ranges import instance
 from hjprofile.solvers.run import Array, Run
@@ -173,7 +174,7 @@ def also_on_the_whole_line(solver: Callable[P, Run]) -> Callable[P, Run]:
 
     def solve(problem: Problem, grid: Grid | None = None, *args: Any, **kwargs: Any) -> Run:
         instance("problem", problem, Problem)
-        if problem.line == "half":
+        if not isinstance(problem.model, WholeLine):
             return _with_caution(run_half(problem, grid, *args, **kwargs), problem)
         window = Window(problem, problem.grid() if grid is None else grid)
         try:

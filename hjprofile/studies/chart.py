@@ -13,6 +13,7 @@ import numpy as np
 from hjprofile.errors import InputError, RunError
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
+from hjprofile.problem.model import LinearGrowth
 from hjprofile.problem.ranges import instance
 from hjprofile.solvers.closed_forms import closed_form
 from hjprofile.solvers.method import Feature, require, requirements
@@ -155,7 +156,8 @@ def _reference(problem: Problem, grid: Grid) -> Reference:
                 np.array([exact.q_means(t, g) for t in problem.times]),
             ),
         )  # fmt: skip
-    if not problem.law.grows_linearly:  # vertical steps are followed by fronts alone
+    steep = isinstance(problem.model, LinearGrowth)
+    if not steep:  # vertical steps are followed by fronts alone
         with suppress(RunError):
             run, coarser = (solve_characteristics(problem, grid, e) for e in (FINEST, 100.0 * FINEST))
             if run.done and coarser.done and run.error_estimate is not None:
@@ -167,7 +169,7 @@ def _reference(problem: Problem, grid: Grid) -> Reference:
                     return read.u, read.q
 
                 return Reference("characteristics", run.error_estimate, error_q, by_characteristics)
-    fronts = STEEP_REFERENCE_FRONTS if problem.law.grows_linearly else REFERENCE_FRONTS
+    fronts = STEEP_REFERENCE_FRONTS if steep else REFERENCE_FRONTS
     run, coarser = (track_fronts(problem, grid, n) for n in (fronts, fronts // 2))
     for tracked in (run, coarser):
         if not tracked.done:

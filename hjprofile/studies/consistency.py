@@ -21,6 +21,7 @@ from hjprofile.errors import InputError, RunError
 from hjprofile.problem import Problem
 from hjprofile.problem.case import Case, load_case
 from hjprofile.problem.grid import Grid
+from hjprofile.problem.model import LinearGrowth, Prescribed
 from hjprofile.problem.profiles import bumps
 from hjprofile.problem.ranges import instance
 from hjprofile.solvers.method import Feature, Form, require, requirements
@@ -124,7 +125,7 @@ def check_consistency(
     instance("problem", problem, Problem)
     instance("grid", grid, Grid)
     require("the consistency test", set(Feature) - {Feature.LAYER}, requirements(problem, refresh))
-    steep = problem.law.grows_linearly
+    steep = isinstance(problem.model, LinearGrowth)
     finest = min(max(grid.cells, LEAST_CELLS), MOST_CELLS) // 8 * 8
     ladder = [finest // 8, finest // 4, finest // 2, finest]
     ordered = ("telescoping", "conservative") if steep else (*CONVERGING, "conservative")
@@ -152,7 +153,7 @@ def check_consistency(
     ladders = {m: Ladder(m, [runs[m, n] for n in ladder]) for m in ordered}
     resolved = any(one.converges for one in ladders.values() if one.method in carried or steep)
     checks += _independence(ladders, resolved)
-    if problem.coefficient is None and refresh is None:
+    if not isinstance(problem.model, Prescribed) and refresh is None:
         checks += [*_budgets(runs, ladders, resolved), *_third_witness(ladders, problem, grid, resolved)]
         checks += _second_order(problem, cfl) if not steep else []
     return checks

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.problem import Problem
+from hjprofile.problem.model import LinearGrowth, Prescribed, RollingLayer
 from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.run import Array, KinkRecord, Run
 
@@ -53,14 +54,19 @@ def records(run: Run, problem: Problem, refresh: float | None, suffix: str) -> I
     yield _most("kinks", suffix, run, *_speeds(run, problem), "K [f]/[q] and [q] with the saved K")
     faults = float(sum(1 for _ in _impossible(run, problem)))
     yield _most("events", suffix, run, np.array([faults]), 0.0, "histories of kinks agree with their events")
-    if not _off_grid(run) and not problem.thickness and run.time[0] == 0.0 and run.time[-1] == problem.end:
+    if (
+        not _off_grid(run)
+        and not isinstance(problem.model, RollingLayer)
+        and run.time[0] == 0.0
+        and run.time[-1] == problem.end
+    ):
         lowered = run.u[0, -1] - run.u[-1, -1] - run.outflow
         yield _most(
             "outflow", suffix, run, np.abs(lowered), rounding + 1e-9 * abs(run.outflow), "lowering of the crest"
         )
     volume = np.trapezoid(run.u[0] - run.u[-1], run.x) - run.eroded_volume
     moved = 2.0 * dx * np.abs(run.u[0] - run.u[-1]).max() + rounding
-    if run.time[0] == 0.0 and run.time[-1] == problem.end:
+    if whole:
         yield _most("volume", suffix, run, np.abs(volume), moved, "the integral of u(0, x) - u(t, x), to first order")
 
 
@@ -95,11 +101,11 @@ def _factor(run: Run, problem: Problem, refresh: float | None) -> tuple[Array, A
     """Return |ln K - ln K'| at the nodes, with K' by the midpoint rule, and the allowance for rounding and rules."""
     dx = float(np.ptp(run.x)) / run.cells
     ln_K = _log(run.K)
-    if problem.coefficient is not None:
+    if isinstance(problem.model, Prescribed):
         times = run.time
         if refresh:  # frozen since the last multiple, which rounding can put just behind a saved time
             times = np.minimum(refresh * np.floor(run.time / refresh * (1.0 + 1e-9) + 1e-9), run.time)
-        return np.abs(ln_K - _log(problem.coefficient.values(times[:, None], run.x))), 1e-12
+        return np.abs(ln_K - _log(problem.model.coefficient.values(times[:, None], run.x))), 1e-12
     f = problem.law.f(run.q)
     if refresh:  # K is that of the last refresh: at those times, the present one
         part = run.time / refresh
@@ -150,7 +156,7 @@ def _impossible(run: Run, problem: Problem) -> Iterator[KinkRecord | object]:
     births = {e.kink: e.time for e in run.events if e.event == "birth"}
     known = {k.kink for k in run.kinks} | births.keys()
     # a run that begins later, or in which steps turn into kinks, does not list all births
-    first = known if run.time[0] > 0.0 or problem.law.grows_linearly else {k.kink for k in run.kinks_at(0)}
+    first = known if run.time[0] > 0.0 or isinstance(problem.model, LinearGrowth) else {k.kink for k in run.kinks_at(0)}
     for e in run.events:
         if not -slack <= e.time <= problem.end + slack or not run.x[0] <= e.x <= run.x[-1]:
             yield e

@@ -48,7 +48,12 @@ HOLDS, LOSES, OSCILLATES, FAILS = "holds", "loses_bounds", "oscillates", "fails"
 
 
 class Trial(NamedTuple):
-    """One point of the scan. `theory` is the limit that theory draws for the parameter, NaN if there is none."""
+    """One point of the scan.
+
+    Attributes:
+        theory: the limit that theory draws for the parameter, NaN if there is none.
+        cfl: the CFL number at which another parameter was varied, NaN where that is the same for all.
+    """
 
     case: str
     method: str
@@ -57,6 +62,7 @@ class Trial(NamedTuple):
     outcome: str
     detail: str
     theory: float
+    cfl: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -144,7 +150,8 @@ def stability(case: str, problem: Problem, grid: Grid, progress: Callable[[float
     return points
 
 
-Row = tuple[str, str, float | str, str, str, float]  # a Trial without its case
+Limits = tuple[str, str, float | str, str, str, float]
+Row = Limits | tuple[str, str, float | str, str, str, float, float]  # a Trial without its case
 
 
 def _cfl(data: _Data) -> Iterator[Row]:
@@ -173,7 +180,7 @@ def _viscosity(data: _Data) -> Iterator[Row]:
         for share in VISCOSITY:
             scheme = _Laboratory(data, "lax-friedrichs", viscosity=share)
             outcome, detail = _attempt(scheme, data, number, MONOTONE, FLUXES["lax-friedrichs"], share)
-            yield "lax-friedrichs", f"viscosity at cfl {number:g}", share, outcome, detail, 1.0
+            yield "lax-friedrichs", f"viscosity at cfl {number:g}", share, outcome, detail, 1.0, number
 
 
 def _refresh(data: _Data) -> Iterator[Row]:

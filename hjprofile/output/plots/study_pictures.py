@@ -98,10 +98,10 @@ def draw_stability(trials: Sequence[Trial]) -> Figure:
     """A panel for each parameter, a row for each method, a mark for each outcome; theory's limit as a line."""
     panels: dict[str, list[Trial]] = {}
     for trial in trials:
-        panels.setdefault(trial.parameter.split(" at cfl ")[0], []).append(trial)
+        panels.setdefault("viscosity" if np.isfinite(trial.cfl) else trial.parameter, []).append(trial)
 
     def row_of(trial: Trial) -> str:
-        return trial.parameter.split(" at cfl ")[-1] if " at cfl " in trial.parameter else trial.method
+        return f"{trial.cfl:g}" if np.isfinite(trial.cfl) else trial.method
 
     figure = new_figure(11.0, 10.5)
     places = figure.subplot_mosaic(
@@ -124,7 +124,7 @@ def draw_stability(trials: Sequence[Trial]) -> Figure:
             y = rows.index(row_of(trial))
             if parameter == "viscosity":  # monotone between max(K f') and Δx/Δt
                 axes.plot([1.0, 1.0], [y - 0.4, y + 0.4], color="0.3", lw=1.2)
-                axes.plot([1.0 / float(row_of(trial))] * 2, [y - 0.4, y + 0.4], color="0.3", lw=1.2, ls=":")
+                axes.plot([1.0 / trial.cfl] * 2, [y - 0.4, y + 0.4], color="0.3", lw=1.2, ls=":")
             elif np.isfinite(trial.theory):
                 axes.plot([trial.theory] * 2, [y - 0.4, y + 0.4], color="0.3", lw=1.2)
         if logarithmic:
