@@ -18,11 +18,12 @@ from oracles import SteepPair, bump_blow_up, isotonic_profile, longest_step
 import hjprofile as hj
 from hjprofile.problem.case import parse_case
 from hjprofile.solvers.grids.grid_law import grid_law
+from hjprofile.solvers.kernels.journal import EVENTS
 from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.vertical_steps.kernels import steps as kernels
 from hjprofile.solvers.vertical_steps.kernels import telescoping
 from hjprofile.solvers.vertical_steps.step_fronts import step_law
-from hjprofile.solvers.vertical_steps.step_monitor import KINDS, Layer, StepMonitor, _fit, find_steps
+from hjprofile.solvers.vertical_steps.step_monitor import Layer, StepMonitor, _fit, find_steps
 
 LAW = hj.erosion_law(lambda q: q + q / (1 + q), derivative=lambda q: 1 + 1 / (1 + q) ** 2, growth="linear")
 POSITIONS, AMPLITUDES = [-3.0, -2.5], [3.0, 5.0]
@@ -328,7 +329,7 @@ def linked(*paths):
         seen = sorted(path(n) for path in paths if path(n))
         monitor.latest = 0.01 * n, [Layer(x, 1.0, speed, x - 0.02, x + 0.02) for x, speed in seen]
         monitor.observe(SimpleNamespace(t=0.01 * n))
-    events = [(round(t, 9), KINDS[int(kind)], n, into) for t, kind, n, into, _ in monitor.log.tolist() if t > 0.0]
+    events = [(round(t, 9), EVENTS[int(kind)], n, into) for t, kind, n, into, _ in monitor.log.tolist() if t > 0.0]
     return monitor.living[:, 0].tolist(), events
 
 

@@ -127,10 +127,10 @@ class StepTracker(Tracker):
         self.t = target
 
     def _sweep(self, x: Array | None = None, y: Array | None = None) -> StepSides:
-        """Fill the sides and return those of the fronts that there are."""
+        """Fill the sides of the fronts that there are, and return the arrays."""
         x, y = self.x if x is None else x, self.y if y is None else y
         kernels.sweep(x, y, self.fronts, self.n, self.n - 1, self.law, self.sides)
-        return StepSides(*(side[: self.n] for side in self.sides))
+        return self.sides
 
     def _advance_exactly(self, end: float) -> bool:
         from scipy.integrate import solve_ivp
@@ -141,7 +141,7 @@ class StepTracker(Tracker):
 
             def rates(_: float, state: Array, n: int = n) -> Array:
                 sides = self._sweep(state[:n], state[n : 2 * n])
-                return np.concatenate([sides.speed, sides.drift, kernels.flows(state[:n], n - 1, sides, law)])
+                return np.concatenate([sides.speed[:n], sides.drift[:n], kernels.flows(state[:n], n - 1, sides, law)])
 
             def meet(_: float, state: Array, n: int = n) -> float:
                 return float(np.min(np.diff(state[:n]))) if n > 1 else 1.0
@@ -151,7 +151,7 @@ class StepTracker(Tracker):
 
             def blow_up(_: float, state: Array, n: int = n, is_step: Array = is_step) -> float:
                 """The smallest difference between R under an infinite slope and R on the right of a kink."""
-                left = law.r_most - self._sweep(state[:n], state[n : 2 * n]).r_left - self.jump[:n]
+                left = law.r_most - self._sweep(state[:n], state[n : 2 * n]).r_left[:n] - self.jump[:n]
                 return float(np.min(left[~is_step], initial=1.0))
 
             for event in (meet, leave, blow_up):
@@ -186,7 +186,7 @@ class StepTracker(Tracker):
         n = self.n
         if not n:
             return [False, False, False]
-        left = (self.law.r_most - self._sweep().r_left - self.jump[:n])[~self.is_step[:n]]
+        left = (self.law.r_most - self._sweep().r_left[:n] - self.jump[:n])[~self.is_step[:n]]
         gaps = np.min(np.diff(self.x[:n]), initial=1.0), -self.x[n - 1], np.min(left, initial=1.0)
         return [bool(gap <= AT_ONCE) for gap in gaps]
 
@@ -211,7 +211,7 @@ class StepTracker(Tracker):
                 array[j : n - 1] = array[j + 1 : n]
             self.n -= 1
         elif occurred[2]:
-            left = self.law.r_most - sides.r_left - self.jump[:n]
+            left = self.law.r_most - sides.r_left[:n] - self.jump[:n]
             j = int(np.argmin(np.where(self.is_step[:n], np.inf, left)))
             self.is_step[j], self.y[j] = True, 0.0
             note(self.journal, self.t, BLOW_UP, self.label[j], 0, self.x[j])
@@ -228,11 +228,11 @@ class StepTracker(Tracker):
         return float(kernels.volume(self.fronts, self.n, self._sweep(), self.law))
 
     def least(self) -> float:
-        return float(np.expm1(self._sweep().v_right.min(initial=0.0)))
+        return float(np.expm1(self._sweep().v_right[: self.n].min(initial=0.0)))
 
     def _kink_sides(self) -> Iterator[tuple[int, float, float, float]]:
         sides = self._sweep()
-        left, right = np.expm1(sides.v_left), np.expm1(sides.v_right)
+        left, right = np.expm1(sides.v_left[: self.n]), np.expm1(sides.v_right[: self.n])
         for j in np.flatnonzero((self.label > 0)[: self.n] & ~self.is_step[: self.n]).tolist():
             yield j, float(left[j]), float(right[j]), float(sides.speed[j])
 

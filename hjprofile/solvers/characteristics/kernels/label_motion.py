@@ -56,10 +56,11 @@ def find_labels(y, t, medium, shocks, unborn):
 
     Nothing but its age is known of a shock born at the time `unborn`, whose fold the state does not hold yet.
     """
-    state, mesh, count = state_of(y, medium), medium.mesh, shocks.off.shape[0]
-    for p in range(state.r.shape[0]):
-        for i in range(state.r.shape[1]):
-            if not state.r[p, i] > 0.0:
+    state, mesh, rule, count = state_of(y, medium), medium.mesh, medium.rule, shocks.off.shape[0]
+    r, X, w = state.r, state.X, state.w
+    for p in range(r.shape[0]):
+        for i in range(r.shape[1]):
+            if not r[p, i] > 0.0:
                 return NOT_ADMISSIBLE
     for k in range(count):
         if shocks.power[k, 1] > 0.0:
@@ -78,7 +79,7 @@ def find_labels(y, t, medium, shocks, unborn):
         p, s = before_end(at, count, mesh)
         if not abs(s) <= BEYOND:
             return NOT_ADMISSIBLE
-        _, top_X, _, slope = at_label(p, s, state)
+        _, top_X, _, slope = at_label(p, s, r, X, mesh, rule, w)
         rounding = max(1.0, abs(top_X))
         top_X += mesh.base[p]
         if abs(top_X) <= CLOSE * rounding or not slope > 0.0:
@@ -223,7 +224,7 @@ def read(y, medium, low, high, flux, nodes, W_out, K_out):
         else:
             s = min(max(s, a), b)
             for _ in range(60):
-                _, at, _, slope = at_label(p, s, state)
+                _, at, _, slope = at_label(p, s, r, X, mesh, rule, w)
                 beyond = at - (x - mesh.base[p])
                 if beyond > 0.0:
                     b = s

@@ -128,15 +128,14 @@ def dot(w, values, p):
 
 
 @compiled
-def at_label(p, s, state):
-    """Return r, X, W and dX/ds at a place in panel p; leave the weights in `state.w`."""
-    X, mesh, rule, w = state.X, state.medium.mesh, state.medium.rule, state.w
+def at_label(p, s, r, X, mesh, rule, w):
+    """Return r, X, W and dX/ds at a place in panel p; leave the weights in w."""
     weights(rule, s, w)
     slope = 0.0
     for i in range(w.size):
         slope += w[i] * dot(X[p], rule.D, i)
-    r = dot(w, state.r, p)
-    return r, dot(w, X, p), dot(w, mesh.I, p) - r, slope
+    value = dot(w, r, p)
+    return value, dot(w, X, p), dot(w, mesh.I, p) - value, slope
 
 
 @compiled
@@ -171,7 +170,7 @@ def law_terms(r, law):
 @compiled
 def newton_labels(k, off, state):
     """Labels of shock k by Newton's method from `off`: with W_ξ = q X_ξ it is closed form. Returns whether found."""
-    mesh, law = state.medium.mesh, state.medium.law
+    r, X, w, mesh, rule, law = state.r, state.X, state.w, state.medium.mesh, state.medium.rule, state.medium.law
     empty = mesh.first[k] == mesh.first[k + 1]
     b0, b1 = off[k, 0], off[k, 1]
     best, rounding = 1e300, 1.0
@@ -179,7 +178,7 @@ def newton_labels(k, off, state):
         p, s = after_start(b1, k + 1, mesh)
         if not abs(s) <= BEYOND:
             break
-        r1, X1, W1, slope1 = at_label(p, s, state)
+        r1, X1, W1, slope1 = at_label(p, s, r, X, mesh, rule, w)
         half1, base1, rounding = mesh.half[p], mesh.base[p], max(1.0, abs(X1))
         q1 = law_terms(r1, law)[2] if r1 > 0.0 else math.nan
         if empty:
@@ -188,7 +187,7 @@ def newton_labels(k, off, state):
             p, s = before_end(b0, k, mesh)
             if not abs(s) <= BEYOND:
                 break
-            r0, X0, W0, slope0 = at_label(p, s, state)
+            r0, X0, W0, slope0 = at_label(p, s, r, X, mesh, rule, w)
             half0 = mesh.half[p]
             q0 = law_terms(r0, law)[2] if r0 > 0.0 else math.nan
             off_X, off_W = mesh.base[p] - base1 + X0 - X1, W0 - W1
@@ -222,7 +221,7 @@ def beside(side, k, off, state):
     """
     mesh = state.medium.mesh
     p, s = before_end(off, k, mesh) if side < 0.0 else after_start(off, k + 1, mesh)
-    _, at, W, slope = at_label(p, s, state)
+    _, at, W, slope = at_label(p, s, state.r, state.X, mesh, state.medium.rule, state.w)
     return s, mesh.base[p] - mesh.base[mesh.first[k + 1]] + at, W, slope / mesh.half[p]
 
 

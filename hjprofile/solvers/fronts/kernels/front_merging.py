@@ -61,17 +61,18 @@ def merge(fronts, n, t, law, sides, speed, stack, journal):
 
     The log takes the time at which two kinks met within the step that ends at t.
     """
-    x, r_left, r_right = fronts.x, sides.r_left, sides.r_right
+    x, jump, label, first_merge = fronts.x, fronts.jump, fronts.label, fronts.first_merge
+    r_left, r_right, stack_x, stack_jump = sides.r_left, sides.r_right, stack.x, stack.jump
+    stack_label, stack_merge, stack_speed, stack_first = stack.label, stack.first_merge, stack.speed, stack.first
     m = 0
     for j in range(n):
-        xj, dj, lj, vj, first = x[j], fronts.jump[j], fronts.label[j], speed[j], j
-        merged_at = fronts.first_merge[j]
-        while m > 0 and stack.x[m - 1] > xj:
+        xj, dj, lj, tj, vj, first = x[j], jump[j], label[j], first_merge[j], speed[j], j
+        while m > 0 and stack_x[m - 1] > xj:
             m -= 1
-            first = stack.first[m]
-            other, closing, overlap = stack.label[m], stack.speed[m] - vj, stack.x[m] - xj
-            dj += stack.jump[m]
-            merged_at = min(merged_at, stack.first_merge[m], t)
+            first = stack_first[m]
+            other, closing, overlap = stack_label[m], stack_speed[m] - vj, stack_x[m] - xj
+            dj += stack_jump[m]
+            tj = min(tj, stack_merge[m], t)
             left = right = x[j]
             for i in range(first, j):
                 left, right = min(left, x[i]), max(right, x[i])
@@ -81,16 +82,21 @@ def merge(fronts, n, t, law, sides, speed, stack, journal):
                 note(journal, t - ago, MERGE, max(lj, other), min(lj, other), xj - ago * vj)
                 lj = min(lj, other)
             elif other > 0:
-                lj, vj = other, stack.speed[m]
-        stack.x[m], stack.jump[m], stack.label[m], stack.speed[m], stack.first[m] = xj, dj, lj, vj, first
-        stack.first_merge[m] = merged_at
+                lj, vj = other, stack_speed[m]
+        stack_x[m], stack_jump[m], stack_label[m], stack_merge[m], stack_speed[m] = xj, dj, lj, tj, vj
+        stack_first[m] = first
         m += 1
     if m < n:
+        smooth = fronts.smooth
         for j in range(m):
-            last = stack.first[j + 1] - 1 if j + 1 < m else n - 1
-            x[j], fronts.jump[j], fronts.label[j], speed[j] = stack.x[j], stack.jump[j], stack.label[j], stack.speed[j]
-            fronts.first_merge[j], fronts.smooth[j] = stack.first_merge[j], fronts.smooth[last]
-            r_left[j], r_right[j] = r_left[stack.first[j]], r_right[last]
+            last = stack_first[j + 1] - 1 if j + 1 < m else n - 1
+            x[j], jump[j], label[j], first_merge[j] = stack_x[j], stack_jump[j], stack_label[j], stack_merge[j]
+            speed[j], smooth[j], r_left[j], r_right[j] = (
+                stack_speed[j],
+                smooth[last],
+                r_left[stack_first[j]],
+                r_right[last],
+            )
     return m
 
 
@@ -100,9 +106,9 @@ def note_events(fronts, n, t, strong, speed, journal):
 
     A front that has merged is a kink once its jump is above `strong`; it was born when it first merged.
     """
-    x, label, first_merge = fronts.x, fronts.label, fronts.first_merge
+    x, jump, label, first_merge = fronts.x, fronts.jump, fronts.label, fronts.first_merge
     for j in range(n):
-        if label[j] == 0 and first_merge[j] <= t and fronts.jump[j] > strong:
+        if label[j] == 0 and first_merge[j] <= t and jump[j] > strong:
             label[j] = new_label(journal)
             note(journal, first_merge[j], BIRTH, label[j], 0, x[j] - (t - first_merge[j]) * speed[j])
     while n > 0 and x[n - 1] >= 0.0:

@@ -19,7 +19,7 @@ def read(fronts, n, area, medium, sides, nodes, W_out, K_out):
     elsewhere the piece, which is exact, and so where the fronts are too far apart for the cubic: where it would leave
     the range of q, or where a jump times the distance is more than WIDE times `area`.
     """
-    x, jump, label, law = fronts.x, fronts.jump, fronts.label, medium.law
+    x, jump, label, smooth, law = fronts.x, fronts.jump, fronts.label, fronts.smooth, medium.law
     r_left, r_right, K = sides.r_left, sides.r_right, sides.K
     sweep(x, jump, n, n - 1, medium, sides)
     W = 0.0  # at front j
@@ -35,7 +35,7 @@ def read(fronts, n, area, medium, sides, nodes, W_out, K_out):
         if j < 0:
             W_out[i], K_out[i] = 0.0, K[0] if n > 0 else 1.0
             continue
-        cubic = j + 1 < n and fronts.smooth[j] and x[j + 1] > x[j]
+        cubic = j + 1 < n and smooth[j] and x[j + 1] > x[j]
         if cubic:
             h = x[j + 1] - x[j]
             jumps = 0.0 if label[j] > 0 else abs(jump[j])
@@ -81,14 +81,14 @@ def cubic_turn(a, mean, b):
 @compiled
 def volume(fronts, n, medium, r_right):
     """∫W dx, by five-point Gauss-Legendre on parts of every piece over which W hardly changes, as far as it changes."""
-    x, law = fronts.x, medium.law
+    x, jump, law = fronts.x, fronts.jump, medium.law
     if n == 0:
         return 0.0
     z = (-0.906179845938664, -0.5384693101056831, 0.0, 0.5384693101056831, 0.906179845938664)
     w = (0.23692688505618908, 0.47862867049936647, 0.5688888888888889, 0.47862867049936647, 0.23692688505618908)
     total, I = 0.0, medium.r0
     for j in range(n):
-        I += fronts.jump[j]
+        I += jump[j]
         h = (x[j + 1] if j + 1 < n else 0.0) - x[j]
         r = r_right[j]
         parts = 1 + int(4.0 * abs(h) * (1.0 + abs(law_q_f(r, law)[1])))

@@ -106,8 +106,9 @@ def sweep(x, jump, n, top, medium, sides):
 def speeds(x, jump, n, top, medium, sides, speed):
     """Fill x' = K [f]/[q] of the first n fronts, and their sides."""
     sweep(x, jump, n, top, medium, sides)
+    slope, K = sides.slope, sides.K
     for j in range(n):
-        speed[j] = sides.slope[j] * sides.K[j]
+        speed[j] = slope[j] * K[j]
 
 
 @compiled

@@ -62,14 +62,15 @@ def advance(fronts, n, t, end, control, medium, work, journal):
     Steps are as long as `control` allows: their error is `motion_error` and, of fronts that have crossed,
     `crossing_error`. Return n and whether `end` is reached: not where PATIENCE steps fall below STEP_FLOOR of the way.
     """
-    x, jump, sides, rate = fronts.x, fronts.jump, work.sides, work.rate
+    x, jump, sides, rate, new = fronts.x, fronts.jump, work.sides, work.rate, work.new
+    law, r0 = medium.law, medium.r0
     floor, short = STEP_FLOOR * (end - t), 0
     fresh = False  # rate[0] and the sweep are those of x
     while t < end and n > 0:
         if not fresh:
             speeds(x, jump, n, top_front(x, n), medium, sides, rate[0])
-        start = sides.K[0] - 1.0, outflow_at(x, top_front(x, n), sides.r_right, medium.law)
-        most_eroded = fit_folds(n, control, medium.law, work)
+        start = sides.K[0] - 1.0, outflow_at(x, top_front(x, n), sides.r_right, law)
+        most_eroded = fit_folds(n, control, law, work)
         while True:
             dt = control.step[0]
             if not dt > floor:  # K is without bound below a slope with q near -1
@@ -82,18 +83,18 @@ def advance(fronts, n, t, end, control, medium, work, journal):
                 dt = 0.5 * (end - t)
             growth, outflow = runge_kutta(x, jump, n, dt, start, medium, work)
             error = motion_error(jump, n, rate[3], rate[4]) * dt / 6.0
-            error += crossing_error(work.new, jump, n, sides, work.eroded, medium.law) * CROSSED / medium.r0**2 * dt
-            error += exit_error(work.new, rate[0], n, sides, medium.law) * most_eroded * medium.r0 * dt * dt
+            error += crossing_error(new, jump, n, sides, work.eroded, law) * CROSSED / r0**2 * dt
+            error += exit_error(new, rate[0], n, sides, law) * most_eroded * r0 * dt * dt
             if accepted(control, dt, error):
                 break
         for j in range(n):
-            x[j], rate[0, j] = work.new[j], rate[4, j]
+            x[j], rate[0, j] = new[j], rate[4, j]
         journal.totals[GROWTH] += dt / 6.0 * growth
         journal.totals[OUTFLOW] += dt / 6.0 * outflow
         journal.counts[STEPS] += 1
         t = end if dt == end - t else t + dt
         before = n
-        n = merge(fronts, n, t, medium.law, sides, rate[0], work.stack, journal)
+        n = merge(fronts, n, t, law, sides, rate[0], work.stack, journal)
         fresh = n == before
         n = note_events(fronts, n, t, control.strong, rate[0], journal)
     return n, True
@@ -102,12 +103,12 @@ def advance(fronts, n, t, end, control, medium, work, journal):
 @compiled
 def fit_folds(n, control, law, work):
     """Shorten the next step until no front crosses more than MOST_FOLDS; fill `eroded` and return its largest."""
-    r_right, K = work.sides.r_right, work.sides.K
+    r_right, K, speed, eroded = work.sides.r_right, work.sides.K, work.rate[0], work.eroded
     folds = most_eroded = 0.0
     for j in range(n):
         f = abs(law_q_f(r_right[j], law)[1])
-        work.eroded[j] = most_eroded
-        folds, most_eroded = max(folds, work.rate[0, j] * f), max(most_eroded, K[j] * f)
+        eroded[j] = most_eroded
+        folds, most_eroded = max(folds, speed[j] * f), max(most_eroded, K[j] * f)
     control.step[0] = min(control.step[0], MOST_FOLDS / folds) if folds > 0.0 else control.step[0]
     return most_eroded
 
@@ -172,10 +173,11 @@ def exit_error(new, speed, n, sides, law):
 
     ∂_t ln K jumps by the front's speed times its jump of f, at a time that the stages of the step do not see.
     """
+    r_left, r_right = sides.r_left, sides.r_right
     largest = 0.0
     j = n - 1
     while j >= 0 and new[j] > 0.0:
-        change = abs(law_q_f(sides.r_right[j], law)[1] - law_q_f(sides.r_left[j], law)[1])
+        change = abs(law_q_f(r_right[j], law)[1] - law_q_f(r_left[j], law)[1])
         largest = max(largest, change * speed[j] / 12.0)
         j -= 1
     return largest

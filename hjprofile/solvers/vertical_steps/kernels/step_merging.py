@@ -89,13 +89,15 @@ def merge(fronts, n, t, law, sides, y_right, journal):
     Two kinks merge where W stays continuous, and where ∫W dx does not change if a step is among them or comes of them.
     The piece on the right of all is untouched, and with it the mass. `y_right` holds y on the right of the fronts.
     """
-    x, jump, is_step, label = fronts.x, fronts.jump, fronts.is_step, fronts.label
+    x, jump, is_step, y, label = fronts.x, fronts.jump, fronts.is_step, fronts.y, fronts.label
+    blow_up, first_merge = fronts.blow_up, fronts.first_merge
     v_left, v_right, m, speed = sides.v_left, sides.v_right, sides.height, sides.speed
     k = -1
     for j in range(n):
         k += 1
         if k < j:
-            copy_front(fronts, j, k)
+            x[k], jump[k], is_step[k], y[k], label[k] = x[j], jump[j], is_step[j], y[j], label[j]
+            blow_up[k], first_merge[k] = blow_up[j], first_merge[j]
             y_right[k], v_left[k], v_right[k], m[k], speed[k] = y_right[j], v_left[j], v_right[j], m[j], speed[j]
         while k > 0 and x[k - 1] > x[k]:
             i = k - 1
@@ -113,23 +115,15 @@ def merge(fronts, n, t, law, sides, y_right, journal):
                 label[i] = min(label[i], label[k])
             else:
                 label[i] = max(label[i], label[k])
-            blow_up = min(fronts.blow_up[i], fronts.blow_up[k])
+            vertical_at = min(blow_up[i], blow_up[k])
             if as_step and label[i] > 0 and not known:
-                note(journal, min(t, blow_up), BLOW_UP, label[i], 0, place)
-            fronts.y[i] = y_right[i] = moved(right[1], place - right[0], law)
+                note(journal, min(t, vertical_at), BLOW_UP, label[i], 0, place)
+            y[i] = y_right[i] = moved(right[1], place - right[0], law)
             v_left[i] = v_of(moved(left[1], place - left[0], law), law)
-            v_right[i] = v_of(fronts.y[i], law)
+            v_right[i] = v_of(y[i], law)
             m[i] = r_of(v_left[i], law) + total - r_of(v_right[i], law) if as_step else 0.0
-            x[i], jump[i], is_step[i], fronts.blow_up[i] = place, total, as_step, blow_up
-            fronts.first_merge[i] = min(fronts.first_merge[i], fronts.first_merge[k], t)
+            x[i], jump[i], is_step[i], blow_up[i] = place, total, as_step, vertical_at
+            first_merge[i] = min(first_merge[i], first_merge[k], t)
             speed[i] = speed[i] if is_step[i] else speed[k]
             k = i
     return k + 1
-
-
-@compiled
-def copy_front(fronts, j, k):
-    """Copy front j to the place of front k."""
-    fronts.x[k], fronts.jump[k], fronts.y[k] = fronts.x[j], fronts.jump[j], fronts.y[j]
-    fronts.is_step[k], fronts.label[k] = fronts.is_step[j], fronts.label[j]
-    fronts.blow_up[k], fronts.first_merge[k] = fronts.blow_up[j], fronts.first_merge[j]

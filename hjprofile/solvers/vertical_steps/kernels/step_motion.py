@@ -69,12 +69,13 @@ def runge_kutta(fronts, n, dt, law, sides, work):
     return. `y_right` is set to y on the right of the fronts afterwards, as the pieces move with K/R: where a front has
     passed another, the pieces between them may end at a vertical slope before that, and W does not tell it.
     """
-    x, y, is_step, k, d = fronts.x, fronts.y, fronts.is_step, sides.speed, sides.drift
+    x, y, jump, is_step, k, d = fronts.x, fronts.y, fronts.jump, fronts.is_step, sides.speed, sides.drift
+    v_right, r_right, K = sides.v_right, sides.r_right, sides.K
     xs, ys, dx, dy, y_right, shift = work.x, work.y, work.dx, work.dy, work.y_right, work.shift
     growth = outflow = steepest = 0.0
     for j in range(n):
         dx[j] = dy[j] = shift[j] = 0.0
-        y_right[j] = y_of(sides.v_right[j], law)
+        y_right[j] = y_of(v_right[j], law)
     top = first_top = top_front_or_step(x, is_step, n)
     r_top = r_of(v_of(moved(y_right[top], -x[top], law), law), law)
     for stage in range(4):
@@ -92,7 +93,7 @@ def runge_kutta(fronts, n, dt, law, sides, work):
         for j in range(n):
             dx[j] += weight * k[j]
             dy[j] += weight * d[j]
-            shift[j] += weight * sides.K[j] / sides.r_right[j]
+            shift[j] += weight * K[j] / r_right[j]
     for j in range(n):
         y_right[j] = moved(y_right[j], dx[j] - shift[j], law)
         xs[j] = x[j] + dx[j]
@@ -100,7 +101,7 @@ def runge_kutta(fronts, n, dt, law, sides, work):
         top = top_front_or_step(xs, is_step, n)
         outflow = r_of(v_of(moved(y_right[top], -xs[top], law), law), law) - r_top
         for j in range(top + 1, first_top + 1):
-            outflow += fronts.jump[j]
+            outflow += jump[j]
     return growth, outflow
 
 
@@ -111,7 +112,7 @@ def advance(fronts, n, t, end, control, law, sides, work, journal):
     K falls by e^{-η0 m} at the moment at which a vertical step of the height m leaves, so a time step ends there. The
     outflow holds the steps that left. Return n and whether `end` is reached: not where a time step is below 1e-9 of it.
     """
-    x, y, is_step, k, dx = fronts.x, fronts.y, fronts.is_step, sides.speed, work.dx
+    x, y, is_step, k, dx, dy = fronts.x, fronts.y, fronts.is_step, sides.speed, work.dx, work.dy
     while t < end and n > 0:
         top = top_front_or_step(x, is_step, n)
         sweep(x, y, fronts, n, top, law, sides)
@@ -138,7 +139,7 @@ def advance(fronts, n, t, end, control, law, sides, work, journal):
             growth, outflow = runge_kutta(fronts, n, dt, law, sides, work)
         for j in range(n):
             x[j] += dx[j]
-            y[j] = max(y[j] + work.dy[j], 0.0)
+            y[j] = max(y[j] + dy[j], 0.0)
         journal.totals[GROWTH] += growth
         journal.totals[OUTFLOW] += outflow
         journal.counts[STEPS] += 1
@@ -158,16 +159,17 @@ def step_length(fronts, n, control, law, sides):
 
     Where a smooth slope breaks fronts are crowded, and q on the right of a step changes fast where it is large.
     """
-    is_step, label, k = fronts.is_step, fronts.label, sides.speed
+    jump, is_step, y, label, k = fronts.jump, fronts.is_step, fronts.y, fronts.label, sides.speed
+    v_right, r_right, K, drift = sides.v_right, sides.r_right, sides.K, sides.drift
     fastest, opening, first = 0.0, False, -1
     for j in range(n):
         fastest = max(fastest, k[j])
-        ahead = 8.0 * (abs(fronts.jump[j]) if label[j] == 0 else control.quantum)
-        opening |= sides.r_right[j] + ahead > law.r_most
+        ahead = 8.0 * (abs(jump[j]) if label[j] == 0 else control.quantum)
+        opening |= r_right[j] + ahead > law.r_most
         first = j if is_step[j] else first
     dt = control.reach * control.spacing / fastest
     for j in range(n):
         if is_step[j] and label[j] > 0:
-            opening |= fronts.y[j] < NEAR_VERTICAL * abs(sides.drift[j]) * dt
-            opening |= sides.K[j] * at(law.df, law, sides.v_right[j]) > CONTACT * k[j]
+            opening |= y[j] < NEAR_VERTICAL * abs(drift[j]) * dt
+            opening |= K[j] * at(law.df, law, v_right[j]) > CONTACT * k[j]
     return dt * (CROWDED if opening else 1.0), first

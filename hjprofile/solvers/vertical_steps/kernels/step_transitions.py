@@ -6,7 +6,6 @@ import numpy as np
 
 from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.journal import BIRTH, BLOW_UP, EXIT, OUTFLOW, new_label, note
-from hjprofile.solvers.vertical_steps.kernels.step_merging import copy_front
 from hjprofile.solvers.vertical_steps.kernels.steps import at, f_of, v_of_r, y_of
 
 
@@ -14,64 +13,53 @@ from hjprofile.solvers.vertical_steps.kernels.steps import at, f_of, v_of_r, y_o
 def transitions(fronts, n, t, quantum, strong, law, sides, journal):
     """Kinks that have become steps and the reverse, slopes that steps leave behind, births and exits.
 
-    Return how many fronts there are. A step slower than the steep slopes just above it lets them go: a front of
-    strength `quantum` leaves it to the right.
+    Return how many fronts there are. A kink becomes a step where W on its right has no room under an infinite slope. A
+    front that has merged is a kink once its jump is above `strong`, born when it first merged. A step slower than the
+    steep slopes just above it lets them go: a front of strength `quantum` leaves it to the right.
     """
+    x, jump, is_step, y, label = fronts.x, fronts.jump, fronts.is_step, fronts.y, fronts.label
+    first_merge, blow_up = fronts.first_merge, fronts.blow_up
+    r_left, r_right, m, K, speed = sides.r_left, sides.r_right, sides.height, sides.K, sides.speed
     j = 0
     while j < n:
-        change_kind(fronts, j, t, strong, sides, journal)
-        if fronts.is_step[j]:
-            date_blow_up(fronts, j, t, law, sides)
-            if n < fronts.x.size and lets_go(j, quantum, law, sides):
+        if not is_step[j] and m[j] > 0.0:
+            is_step[j], y[j] = True, 0.0
+            if label[j] > 0:
+                note(journal, t, BLOW_UP, label[j], 0, x[j])
+        elif is_step[j] and m[j] <= 0.0:
+            is_step[j] = False
+        elif label[j] == 0 and not is_step[j] and first_merge[j] <= t and jump[j] > strong:
+            label[j] = new_label(journal)
+            note(journal, first_merge[j], BIRTH, label[j], 0, x[j] - (t - first_merge[j]) * speed[j])
+        if is_step[j]:
+            if blow_up[j] == np.inf:
+                blow_up[j] = t - time_since_vertical(r_left[j] + 0.5 * jump[j], K[j], law)
+            if n < x.size and lets_go(r_right[j] + quantum, speed[j], K[j], law):
                 release(fronts, n, j, quantum, law, sides)
                 n += 1
                 j += 1
         j += 1
     number_steps(fronts, n, t, strong, sides, journal)
-    x, label = fronts.x, fronts.label
     while n > 0 and x[n - 1] >= 0.0:
         n -= 1
-        if fronts.is_step[n]:
-            journal.totals[OUTFLOW] += sides.height[n]  # what is above a step falls over the edge with it
+        if is_step[n]:
+            journal.totals[OUTFLOW] += m[n]  # what is above a step falls over the edge with it
         if label[n] > 0:
-            note(journal, t - x[n] / sides.speed[n], EXIT, label[n], 0, 0.0)
+            note(journal, t - x[n] / speed[n], EXIT, label[n], 0, 0.0)
     return n
 
 
 @compiled
-def change_kind(fronts, j, t, strong, sides, journal):
-    """Make a kink a step where W on its right has no room under an infinite slope, and a step without height a kink.
-
-    A front that has merged is a kink once its jump is above `strong`, born when it first merged.
-    """
-    x, label, m, first_merge = fronts.x, fronts.label, sides.height, fronts.first_merge
-    if not fronts.is_step[j] and m[j] > 0.0:
-        fronts.is_step[j], fronts.y[j] = True, 0.0
-        if label[j] > 0:
-            note(journal, t, BLOW_UP, label[j], 0, x[j])
-    elif fronts.is_step[j] and m[j] <= 0.0:
-        fronts.is_step[j] = False
-    elif label[j] == 0 and not fronts.is_step[j] and first_merge[j] <= t and fronts.jump[j] > strong:
-        label[j] = new_label(journal)
-        note(journal, first_merge[j], BIRTH, label[j], 0, x[j] - (t - first_merge[j]) * sides.speed[j])
+def time_since_vertical(r, K, law):
+    """How long ago q became infinite where R is now r, by dR/dt = K (f - q f')."""
+    v = v_of_r(r, law)
+    return (r - law.r_most) / (K * (f_of(v, law) - math.expm1(v) * at(law.df, law, v)))
 
 
 @compiled
-def date_blow_up(fronts, j, t, law, sides):
-    """Set when q became infinite midway through a step, by dR/dt = K (f - q f') from when it is so on its right."""
-    if fronts.blow_up[j] == np.inf:
-        middle = sides.r_left[j] + 0.5 * fronts.jump[j]
-        over, v = middle - law.r_most, v_of_r(middle, law)
-        fronts.blow_up[j] = t - over / (sides.K[j] * (f_of(v, law) - math.expm1(v) * at(law.df, law, v)))
-
-
-@compiled
-def lets_go(j, quantum, law, sides):
-    """Return whether step j is slower than the slope that would lie on its right without a front of that strength."""
-    if not sides.r_right[j] + quantum < law.r_most:
-        return False
-    v = v_of_r(sides.r_right[j] + quantum, law)
-    return sides.speed[j] < sides.K[j] * at(law.df, law, v)
+def lets_go(r, speed, K, law):
+    """Return whether a step is slower than the slope with R = r that would then lie on its right."""
+    return r < law.r_most and speed < K * at(law.df, law, v_of_r(r, law))
 
 
 @compiled
@@ -91,17 +79,25 @@ def release(fronts, n, j, quantum, law, sides):
 
 
 @compiled
+def copy_front(fronts, j, k):
+    """Copy front j to the place of front k."""
+    fronts.x[k], fronts.jump[k], fronts.y[k] = fronts.x[j], fronts.jump[j], fronts.y[j]
+    fronts.is_step[k], fronts.label[k] = fronts.is_step[j], fronts.label[j]
+    fronts.blow_up[k], fronts.first_merge[k] = fronts.blow_up[j], fronts.first_merge[j]
+
+
+@compiled
 def number_steps(fronts, n, t, strong, sides, journal):
     """Number steps that open in a smooth slope: of neighbours that do so together, one that outweighs the rest."""
-    x, label, m = fronts.x, fronts.label, sides.height
+    x, is_step, label, blow_up, m = fronts.x, fronts.is_step, fronts.label, fronts.blow_up, sides.height
     j = 0
     while j < n:
         first, tallest, height, born = j, j, 0.0, np.inf
         numbered = False
-        while j < n and fronts.is_step[j]:
+        while j < n and is_step[j]:
             numbered |= label[j] > 0
             height += m[j]
-            born = min(born, fronts.blow_up[j])
+            born = min(born, blow_up[j])
             if m[j] > m[tallest]:
                 tallest = j
             j += 1

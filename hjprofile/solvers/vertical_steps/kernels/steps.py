@@ -163,7 +163,8 @@ def sweep(x, y, fronts, n, top, law, sides):
     A sweep right for v, one left for K with K(0) = 1. A kink whose W does not fit under an infinite slope has the rest
     as a height already.
     """
-    jump, is_step, m, K, speed = fronts.jump, fronts.is_step, sides.height, sides.K, sides.speed
+    jump, is_step, m, K = fronts.jump, fronts.is_step, sides.height, sides.K
+    speed, drift = sides.speed, sides.drift
     v_left, v_right, r_left, r_right = sides.v_left, sides.v_right, sides.r_left, sides.r_right
     r, v, y_right = law.r0, 0.0, 1.0
     for j in range(n):
@@ -201,7 +202,7 @@ def sweep(x, y, fronts, n, top, law, sides):
             a, b = math.expm1(v_left[j]), math.expm1(v_right[j])
             speed[j] = K[j] * (b / r_right[j] - a / r_left[j]) / (b - a)
         # the piece on the right moves as a whole, with K/R
-        sides.drift[j] = law.rate * (speed[j] - K[j] / r_right[j]) * (1.0 - y[j]) if is_step[j] else 0.0
+        drift[j] = law.rate * (speed[j] - K[j] / r_right[j]) * (1.0 - y[j]) if is_step[j] else 0.0
 
 
 @compiled
@@ -214,13 +215,13 @@ def flows(x, top, sides, law):
 @compiled
 def read(fronts, n, law, sides, nodes, W_out, K_out):
     """W and K at `nodes` (increasing), K at a step being that on its right. Sweeps first."""
-    x, v_right, K = fronts.x, sides.v_right, sides.K
+    x, jump, v_right, K = fronts.x, fronts.jump, sides.v_right, sides.K
     sweep(x, fronts.y, fronts, n, n - 1, law, sides)
     j, I = -1, law.r0
     for i in range(nodes.size):
         while j + 1 < n and x[j + 1] <= nodes[i]:
             j += 1
-            I += fronts.jump[j]
+            I += jump[j]
         if j < 0:
             W_out[i], K_out[i] = 0.0, K[0] * math.exp(law.eta0 * sides.height[0]) if n > 0 else 1.0
             continue
@@ -231,10 +232,10 @@ def read(fronts, n, law, sides, nodes, W_out, K_out):
 @compiled
 def volume(fronts, n, sides, law):
     """∫W dx, for sides as swept."""
-    x, v_left, v_right = fronts.x, sides.v_left, sides.v_right
+    x, jump, v_left, v_right = fronts.x, fronts.jump, sides.v_left, sides.v_right
     total, I = 0.0, law.r0
     for j in range(n):
-        I += fronts.jump[j]
+        I += jump[j]
         end = x[j + 1] if j + 1 < n else 0.0
         v = v_left[j + 1] if j + 1 < n else v_of(moved(y_of(v_right[j], law), end - x[j], law), law)
         total += (I - law.r0) * (end - x[j]) - (at(law.area, law, v_right[j]) - at(law.area, law, v))
