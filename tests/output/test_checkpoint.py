@@ -204,8 +204,8 @@ def files_of(folder):
 
 def killed_again_and_again(tmp_path, kills, seed):
     """Runs that are killed at random moments and resumed until they end, until so many have been killed."""
-    content = CONTENT | {"solver": {"method": "weno5"}, "domain": {"left": -10.0, "cells": 1500}}
-    content |= {"output": {"vtk": True, "plots": False, "checkpoint": 0.02}, "time": {"end": 6.0, "snapshots": 4}}
+    content = CONTENT | {"solver": {"method": "weno5"}, "domain": {"left": -10.0, "cells": 800}}
+    content |= {"output": {"vtk": True, "plots": False, "checkpoint": 0.02}, "time": {"end": 3.0, "snapshots": 4}}
     for name in ("whole", "killed"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "scene.toml").write_text(tomli_w.dumps(content))

@@ -118,13 +118,11 @@ def test_extremes_are_solved(monkeypatch):
     }
     for profile, left, most in scenes.values():
         problem = hj.Problem(hj.rational(), profile, end=1.0, snapshots=[0.0, 0.01, 0.1, 1.0])
-        found = []
+        found, exact = [], hj.track_fronts(problem, hj.Grid(left, 2000), 1600)
         for cells in (500, 1000, 2000):
-            grid = hj.Grid(left, cells)
-            exact = hj.track_fronts(problem, grid, 1600)
-            run = hj.solve_hj(problem, grid, "godunov")
+            run = hj.solve_hj(problem, hj.Grid(left, cells), "godunov")
             assert run.done and run.warnings == []
-            found.append(float(np.abs(run.u - exact.u).max()))
+            found.append(float(np.abs(run.u - exact.u[:, :: 2000 // cells]).max()))
         # before its asymptotics K shows 0.6 to 0.7, the hollow 0.8 to 1.1; u spans 83 and 1
         assert 0.5 <= hj.observed_order([500, 1000, 2000], found) <= 1.3
         assert found[-1] <= most * float(np.ptp(exact.u[0] - exact.x))
