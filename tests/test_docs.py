@@ -146,6 +146,7 @@ def test_commands_within_sentences_are_commands():
         for command in within.findall(text)
     }  # fmt: skip
     assert len(said) > 20
+    printed_by(lambda: main(["cases"]))  # a command exists once `main` has imported its module
     for command in said:
         with contextlib.suppress(MissingArgumentError):  # only the command is named, or it and an option
             app.parse_args(shlex.split(command), exit_on_error=False, print_error=False)

@@ -20,7 +20,7 @@ from hjprofile.output.archive import pack, unpack
 from hjprofile.output.folder import RECORD, Owner, ResultFolder
 from hjprofile.studies.sweep import members
 
-COPIES = 200
+COPIES = 100
 WRONG = [None, True, "", "x", -1, 0, 1e308, float("nan"), float("inf"), 10**400, [], [1], {}, {"a": 1}, "x" * 10**6]
 
 
