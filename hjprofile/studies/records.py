@@ -54,12 +54,8 @@ def records(run: Run, problem: Problem, refresh: float | None, suffix: str) -> I
     yield _most("kinks", suffix, run, *_speeds(run, problem), "K [f]/[q] and [q] with the saved K")
     faults = float(sum(1 for _ in _impossible(run, problem)))
     yield _most("events", suffix, run, np.array([faults]), 0.0, "histories of kinks agree with their events")
-    if (
-        not _off_grid(run)
-        and not isinstance(problem.model, RollingLayer)
-        and run.time[0] == 0.0
-        and run.time[-1] == problem.end
-    ):
+    whole = run.time[0] == 0.0 and run.time[-1] == problem.end
+    if whole and not _off_grid(run) and not isinstance(problem.model, RollingLayer):
         lowered = run.u[0, -1] - run.u[-1, -1] - run.outflow
         yield _most(
             "outflow", suffix, run, np.abs(lowered), rounding + 1e-9 * abs(run.outflow), "lowering of the crest"

@@ -161,7 +161,9 @@ def test_other_methods_refuse_a_layer(method, tmp_path):
     if method == "auto":
         content["solver"]["tolerance"] = 1e-3
     case = parse_case(content, "scene", "scene.toml", tmp_path)
-    with pytest.raises(hj.InputError, match=r"^scene.toml: \[solver\] .* a rolling layer .*: conservative-telescoping"):
+    with pytest.raises(
+        hj.InputError, match=r"^scene.toml: \[solver\] .* a rolling layer; methods that do: conservative-telescoping"
+    ):
         solve_case(case)
 
 
