@@ -99,7 +99,7 @@ def test_picture(trials):
 @pytest.mark.parametrize(
     ("problem", "words"),
     [
-        (hj.Problem(hj.rational(), hj.steady(0.4), end=1.0), "something flows in"),
+        (hj.Problem(hj.rational(), hj.steady(0.4), end=1.0), "flux that enters"),
         (hj.Problem(hj.rational(), hj.kinks([-1.0], [0.4]), end=0.0), "nothing happens"),
         (hj.Problem(hj.rational(), hj.steps([-2.0, -1.0], [0.0]), end=1.0), "nothing happens"),
     ],
