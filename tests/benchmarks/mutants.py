@@ -313,7 +313,7 @@ def failed_test(folder: Path, arguments: list[str], limit: float) -> str:
     if code == 0:
         return ""
     output = (folder / "output.txt").read_text(errors="replace")
-    found = re.search(r"^(?:FAILED|ERROR) (\S+(?: [^-\n]*?\])?)", output, flags=re.M)
+    found = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - |$)", output, flags=re.M)
     return found[1] if found else f"exit code {code}"
 
 
