@@ -313,7 +313,7 @@ def failed_test(folder: Path, arguments: list[str], limit: float) -> str:
     if code == 0:
         return ""
     output = (folder / "output.txt").read_text(errors="replace")
-    found = re.search(r"^(?:FAILED|ERROR) (\S+(?: [^-\n]*?\])?)", output, flags=re.M)
+    found = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - |$)", output, flags=re.M)
     return found[1] if found else f"exit code {code}"
 
 
@@ -346,9 +346,11 @@ def main() -> None:
     parser.add_argument("--unchecked", action="store_true", help="do not run the tests without a mutant first")
     options = parser.parse_args()
 
+    # a signal that is ignored here, as under nohup, would be ignored by the processes of the tests too
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, lambda number, frame: None)
     if not (options.list or options.unchecked) and (failed := verdict(None)):
         sys.exit(f"without a mutant: {failed}")
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # nohup ignores it, as would the tests
     until, count = time.monotonic() + 3600.0 * options.hours, Counter[str]()
     rows = ["| mutant | before | after | killed by | s |", "|---|---|---|---|---|"]
     for number, mutant in enumerate(drawn(options.only, options.seed)):
