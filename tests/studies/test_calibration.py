@@ -329,9 +329,7 @@ def test_bad_surveys_after(slope, coarse, call, tmp_path):
     with pytest.raises(hj.InputError, match="x increasing"):
         hj.fit(path, x[::-1], height, ["time.end"])
     inflow = write(tmp_path, SURVEY | {"profile": {"kind": "steady", "flux": 0.5}}, "inflow.toml")
-    with pytest.raises(
-        hj.InputError, match="made by fronts, does not take a profile with a flux"
-    ):
+    with pytest.raises(hj.InputError, match="made by fronts, does not take a profile with a flux"):
         hj.fit(inflow, x, height, ["time.end"])
 
 

@@ -192,6 +192,24 @@ def _stage(i, y, time_step, tableau, medium, shocks, work, state):
 
 
 @compiled
+def _label_of_place(p, x, s, ends, state, mesh, rule):
+    """The label of panel p, between the two ends, that is at x: Newton's method from s, within a bracket."""
+    a, b = ends
+    for _ in range(60):
+        _, at, _, slope = at_label(p, s, state.r, state.X, mesh, rule, state.w)
+        beyond = at - (x - mesh.base[p])
+        if beyond > 0.0:
+            b = s
+        else:
+            a = s
+        if abs(beyond) <= 1e-15 * max(1.0, abs(at)):
+            break
+        trial = s - beyond / slope if slope > 0.0 else a
+        s = trial if a < trial < b else 0.5 * (a + b)
+    return s
+
+
+@compiled
 def read(y, medium, low, high, flux, nodes, W_out, K_out):
     """W and K at increasing `nodes`: label by label where it is alive, low[p] <= s <= high[p], between shocks' places.
 
@@ -222,18 +240,7 @@ def read(y, medium, low, high, flux, nodes, W_out, K_out):
         elif x >= right[p]:
             s = b
         else:
-            s = min(max(s, a), b)
-            for _ in range(60):
-                _, at, _, slope = at_label(p, s, r, X, mesh, rule, w)
-                beyond = at - (x - mesh.base[p])
-                if beyond > 0.0:
-                    b = s
-                else:
-                    a = s
-                if abs(beyond) <= 1e-15 * max(1.0, abs(at)):
-                    break
-                trial = s - beyond / slope if slope > 0.0 else a
-                s = trial if a < trial < b else 0.5 * (a + b)
+            s = _label_of_place(p, x, min(max(s, a), b), (a, b), state, mesh, rule)
         weights(rule, s, w)
         value = dot(w, r, p)
         W_out[i] = dot(w, mesh.I, p) - value
