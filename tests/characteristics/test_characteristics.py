@@ -251,7 +251,7 @@ def test_a_factor_beyond_all_numbers_is_told_of_without_a_warning():
 
 
 def on_labels(X_left, q_left, X_right, q_right):
-    """The state of polynomials X and q on labels -2..0 and 0..2, W = 0 between; q = 0 on the left if None."""
+    """r, X and the mesh of polynomials X and q on labels -2..0 and 0..2, W = 0 between; q = 0 on the left if None."""
     sides = [(-1.0, X_left, q_left), (1.0, X_right, q_right)] if X_left else [(1.0, X_right, q_right)]
     xi = [middle + RULE.s for middle, _, _ in sides]
     I = [(q * X.deriv()).integ() + 1.0 + q for _, X, q in sides]
@@ -265,8 +265,7 @@ def on_labels(X_left, q_left, X_right, q_right):
         np.array([0, 1, 2] if X_left else [0, 0, 1]),
     )  # fmt: skip
     r, X = sampled([1.0 + q for _, _, q in sides]), sampled([X for _, X, _ in sides])
-    medium = labels.Medium(mesh, RULE, law_table(hj.rational(), -0.5, 5.0))
-    return labels.State(r, X, medium, np.empty(RULE.s.size))
+    return r, X, mesh, RULE, law_table(hj.rational(), -0.5, 5.0), np.empty(RULE.s.size)
 
 
 ROOT = np.sqrt(0.5)
@@ -289,28 +288,29 @@ LINE, LOW, HIGH = Polynomial([0.0, 1.0]), Polynomial([0.5]), Polynomial([2.0])
 def test_labels_of_a_shock_are_those_at_which_X_rises(sides, start, exact):
     """X and W are the same on both sides of the joint too, but X falls with the label there: this is no shock."""
     off = np.array([start])
-    assert labels.shock_labels(0, off, on_labels(*sides))
+    assert labels.shock_labels(0, off, *on_labels(*sides))
     assert off[0] == pytest.approx(exact, abs=1e-13)
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_folds_and_labels_by_bisection(side):
     """X = ξ³ - ξ/2 turns at ξ² = 1/6 and is ±1/2 at ξ = ±1, where W - X is 1/4; ±ξ² - ξ/10 turns at ±1/20."""
-    state = on_labels(CUBIC, RISING, CUBIC, RISING)
-    fold = labels.fold(side, 0, state)
+    r, X, mesh, rule, _, w = on_labels(CUBIC, RISING, CUBIC, RISING)
+    fold = labels.fold(side, 0, r, X, mesh, rule, w)
     assert fold == pytest.approx(np.sqrt(1.0 / 6.0), abs=1e-12)
     for of_W, target in ((0.0, 0.5 * side), (1.0, 0.5 * side + 0.25)):
-        label = labels.label_of(side, 0, target, of_W, fold, state)
+        label = labels.label_of(side, 0, target, of_W, fold, r, X, mesh, rule, w)
         assert label == pytest.approx(1.0, abs=1e-12)
-    assert np.isnan(labels.label_of(side, 0, 100.0 * side, 0.0, fold, state))
+    assert np.isnan(labels.label_of(side, 0, 100.0 * side, 0.0, fold, r, X, mesh, rule, w))
     for X, turn in ((Polynomial([0.0, -0.1, side]), 0.05), (LINE, 0.0)):
-        assert labels.fold(side, 0, on_labels(X, LOW, X, HIGH)) == pytest.approx(turn, abs=1e-12)
+        r, X, mesh, rule, _, w = on_labels(X, LOW, X, HIGH)
+        assert labels.fold(side, 0, r, X, mesh, rule, w) == pytest.approx(turn, abs=1e-12)
 
 
 def test_labels_of_a_newborn_shock_are_at_the_joint():
     """At its birth X has a level tangent, and there is no fold between which labels could be found."""
     off, cube = np.zeros((1, 2)), Polynomial([0.0, 0.0, 0.0, 1.0])
-    assert labels.shock_labels(0, off, on_labels(cube, RISING, cube, RISING)) and not off.any()
+    assert labels.shock_labels(0, off, *on_labels(cube, RISING, cube, RISING)) and not off.any()
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import numpy as np
 from hjprofile.problem import Problem
 from hjprofile.solvers.characteristics import label_events as events
 from hjprofile.solvers.characteristics.kernels import label_motion as kernels
-from hjprofile.solvers.characteristics.kernels.labels import Flux, Medium, after_start, before_end
+from hjprofile.solvers.characteristics.kernels.labels import Medium, Stages, after_start, before_end
 from hjprofile.solvers.characteristics.panels import POINTS, RULE, TAIL, Panels, interpolation, tails
 from hjprofile.solvers.kernels.dormand_prince import STAGES, state_within, tableau
 from hjprofile.solvers.kernels.law import LawTable, law_q_f
@@ -92,8 +92,8 @@ class MovingLabels(Solution):
     def _allocate(self) -> None:
         panels = self.now.panels
         self.medium = Medium(panels.mesh, RULE, self.table)
-        self.flux = Flux(np.zeros(panels.r.shape), np.zeros(panels.shocks + 1))
-        self.work = kernels.Workspace(self.flux, np.zeros((STAGES + 4, 2 * panels.r.size + 2)))
+        rates = np.zeros((STAGES + 4, 2 * panels.r.size + 2))
+        self.stages = Stages(np.zeros(panels.r.shape), np.zeros(panels.shocks + 1), rates)
 
     def advance(self, target: float) -> None:
         """To the time `target`. Raises Lost where it cannot go on."""
@@ -114,8 +114,9 @@ class MovingLabels(Solution):
         if self.patience < 0.0:
             raise Lost(Stop(Reason.TOO_LONG, "it would take too long"))
         shocks, new = panels.labels(), np.empty(2 * panels.r.size + 2)
-        time_step = kernels.TimeStep(now.clock(now.t), h, now.origin)
-        error, self.found = kernels.step(panels.y, time_step, tableau(), self.medium, shocks, self.work, new)
+        error, self.found = kernels.step(
+            panels.y, now.clock(now.t), h, now.origin, tableau(), self.medium, shocks, self.stages, new
+        )
         return panels.at(new, shocks), error / self.tolerance
 
     def _step(self, target: float) -> None:
@@ -196,14 +197,14 @@ class MovingLabels(Solution):
         if not self.flat:
             panels = self.now.panels
             self._rates(panels)
-            kernels.read(panels.y, self.medium, *panels.living(), self.flux, nodes, W, K)
+            kernels.read(panels.y, panels.mesh, RULE, *panels.living(), self.stages, nodes, W, K)
         return W, K
 
     def _rates(self, panels: Panels) -> Array:
         """Return dy/dt now, and leave the flux."""
         out = np.empty(2 * panels.r.size + 2)
         shocks = panels.labels()
-        self.found = kernels.rates(panels.y, self.now.t, self.medium, shocks, self.flux, np.nan, out)
+        self.found = kernels.rates(panels.y, self.now.t, self.medium, shocks, self.stages, np.nan, out)
         if self.found:
             raise Lost(self._why())
         panels.off[:], panels.tau[:], panels.off_top[:] = shocks.off, shocks.tau, shocks.top
@@ -224,7 +225,7 @@ class MovingLabels(Solution):
             row = interpolation(np.array([s]))[0]
             sides.append(float(row @ panels.r[p]))
             with np.errstate(over="ignore"):  # the status reports such a K
-                K = sides[1] * np.exp(row @ self.flux.S[p] + self.flux.c[k + 1])
+                K = sides[1] * np.exp(row @ self.stages.S[p] + self.stages.c[k + 1])
             (q0, f0), (q1, f1) = (law_q_f(r, self.table) for r in sides)
             if q1 > q0:
                 speed = float(K * (f1 - f0) / (q1 - q0))
@@ -338,8 +339,9 @@ class MovingLabels(Solution):
         known = dict(zip((0.0, 1.0), ends, strict=True))  # values of `least`
         now, panels, new = self.now, self.now.panels, end.y
         F, state = np.empty((7, new.size)), np.empty(new.size)
-        time_step = kernels.TimeStep(now.clock(now.t), h, now.origin)
-        lost = kernels.within(panels.y, time_step, tableau(), self.medium, end.labels(), self.work, new, F)
+        lost = kernels.within(
+            panels.y, now.clock(now.t), h, now.origin, tableau(), self.medium, end.labels(), self.stages, new, F
+        )
 
         def stepped(part: float) -> float:
             if part not in known:

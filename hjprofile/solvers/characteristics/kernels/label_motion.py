@@ -4,7 +4,6 @@ The conventions are those of `kernels.labels`.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -12,8 +11,6 @@ from hjprofile.solvers.characteristics.kernels.labels import (
     BEYOND,
     CLOSE,
     NOISE,
-    Flux,
-    State,
     after_start,
     at_label,
     before_end,
@@ -28,38 +25,18 @@ from hjprofile.solvers.kernels.dormand_prince import STAGES, interpolant, state_
 FOUND_ALL, NOT_ADMISSIBLE = 0, -1  # what `find_labels` returns; 1 + k where the labels of shock k are lost
 
 
-class TimeStep(NamedTuple):
-    """A step by h > 0 from `start`, in t, or in z = sqrt(t - origin) where `origin` is not NaN."""
-
-    start: float
-    h: float
-    origin: float
-
-
-class Workspace(NamedTuple):
-    """What a step leaves: the flux of its last stage, and the rates of all stages, shape (16, size of y)."""
-
-    flux: Flux
-    rates: np.ndarray
-
-
-@compiled
-def state_of(y, medium):
-    """Return the fields in y = (r, X, ..)."""
-    P, n = medium.mesh.I.shape
-    return State(y[: P * n].reshape(P, n), y[P * n : 2 * P * n].reshape(P, n), medium, np.empty(n))
-
-
 @compiled
 def find_labels(y, t, medium, shocks, unborn):
     """Find the labels of shocks and of x = 0 in a state; return FOUND_ALL, NOT_ADMISSIBLE or 1 + k for a lost shock k.
 
     Nothing but its age is known of a shock born at the time `unborn`, whose fold the state does not hold yet.
     """
-    state, mesh, rule, count = state_of(y, medium), medium.mesh, medium.rule, shocks.off.shape[0]
-    r, X, w = state.r, state.X, state.w
-    for p in range(r.shape[0]):
-        for i in range(r.shape[1]):
+    mesh, rule, law = medium.mesh, medium.rule, medium.law
+    P, n = mesh.I.shape
+    r, X = y[: P * n].reshape(P, n), y[P * n : 2 * P * n].reshape(P, n)
+    w, count = np.empty(n), shocks.off.shape[0]
+    for p in range(P):
+        for i in range(n):
             if not r[p, i] > 0.0:
                 return NOT_ADMISSIBLE
     for k in range(count):
@@ -72,7 +49,7 @@ def find_labels(y, t, medium, shocks, unborn):
             shocks.tau[k] = age
             if shocks.birth[k] == unborn:
                 continue
-        if not shock_labels(k, shocks.off, state):
+        if not shock_labels(k, shocks.off, r, X, mesh, rule, law, w):
             return 1 + k
     at, top_X, rounding = shocks.top[0], 0.0, 1.0
     for _ in range(30):  # the label at x = 0
@@ -92,9 +69,9 @@ def find_labels(y, t, medium, shocks, unborn):
 
 
 @compiled
-def find_flux(r, medium, shocks, flux):
+def find_flux(r, medium, shocks, stages):
     """Fill S and c of ln K = ln r + S + c, from right to left; r at x = 0 is returned."""
-    mesh, rule, S, c = medium.mesh, medium.rule, flux.S, flux.c
+    mesh, rule, S, c = medium.mesh, medium.rule, stages.S, stages.c
     n, count = mesh.I.shape[1], shocks.off.shape[0]
     w = np.empty(n)
     for k in range(count + 1):
@@ -125,7 +102,7 @@ def find_flux(r, medium, shocks, flux):
 
 
 @compiled
-def rates(y, t, medium, shocks, flux, unborn, out):
+def rates(y, t, medium, shocks, stages, unborn, out):
     """dy/dt for y = (r, X, ∫(K_left - 1), ∫F(0)); finds labels and flux on the way, and returns as `find_labels`."""
     mesh, law = medium.mesh, medium.law
     P, n = mesh.I.shape
@@ -133,49 +110,51 @@ def rates(y, t, medium, shocks, flux, unborn, out):
     if found != FOUND_ALL:
         return found
     r = y[: P * n].reshape(P, n)
-    top = find_flux(r, medium, shocks, flux)
+    top = find_flux(r, medium, shocks, stages)
     for k in range(shocks.off.shape[0] + 1):
         for p in range(mesh.first[k], mesh.first[k + 1]):
             for i in range(n):
-                K = r[p, i] * math.exp(flux.S[p, i] + flux.c[k])
+                K = r[p, i] * math.exp(stages.S[p, i] + stages.c[k])
                 f, f1, _ = law_terms(r[p, i], law)
                 out[p * n + i] = K * f * f / (f + f1)
                 out[P * n + p * n + i] = K * f1 / (r[p, i] * (f + f1))
-    log_K = flux.c[0]
+    log_K = stages.c[0]
     if mesh.first[0] < mesh.first[1]:
-        log_K += math.log(r[0, 0]) + flux.S[0, 0]
+        log_K += math.log(r[0, 0]) + stages.S[0, 0]
     out[2 * P * n] = math.exp(log_K) - 1.0
     out[2 * P * n + 1] = law_terms(top, law)[0]
     return FOUND_ALL
 
 
 @compiled
-def step(y, time_step, tableau, medium, shocks, work, new):
-    """Fill `new` by a step; return the error estimate (largest entry), and as `rates`."""
+def step(y, start, h, origin, tableau, medium, shocks, stages, new):
+    """Fill `new` by a step by h > 0 from `start`, in t, or in z = sqrt(t - origin) where `origin` is not NaN.
+
+    Return the error estimate (largest entry), and as `rates`.
+    """
     for i in range(STAGES + 1):
-        found = _stage(i, y, time_step, tableau, medium, shocks, work, new)
+        found = _stage(i, y, start, h, origin, tableau, medium, shocks, stages, new)
         if found != FOUND_ALL:
             return math.inf, found
-    return step_error(time_step.h, work.rates, tableau, new, 0), FOUND_ALL
+    return step_error(h, stages.rates, tableau, new, 0), FOUND_ALL
 
 
 @compiled
-def within(y, time_step, tableau, medium, shocks, work, new, F):
+def within(y, start, h, origin, tableau, medium, shocks, stages, new, F):
     """Fill the coefficients F of `state_within` after a step that `step` has made; return as `rates`."""
     state = np.empty(y.size)
     for i in range(STAGES + 1, STAGES + 4):
-        found = _stage(i, y, time_step, tableau, medium, shocks, work, state)
+        found = _stage(i, y, start, h, origin, tableau, medium, shocks, stages, state)
         if found != FOUND_ALL:
             return found
-    interpolant(y, time_step.h, work.rates, tableau, new, F)
+    interpolant(y, h, stages.rates, tableau, new, F)
     return FOUND_ALL
 
 
 @compiled
-def _stage(i, y, time_step, tableau, medium, shocks, work, state):
+def _stage(i, y, start, h, origin, tableau, medium, shocks, stages, state):
     """Fill the state and the rate of stage i; return as `rates`."""
-    start, h, origin = time_step.start, time_step.h, time_step.origin
-    k, in_root = work.rates, origin == origin
+    k, in_root = stages.rates, origin == origin
     state_at(i, y, h, k, tableau, state)
     part = 1.0
     if i != STAGES:
@@ -184,7 +163,7 @@ def _stage(i, y, time_step, tableau, medium, shocks, work, state):
     t = origin + z * z if in_root else z
     # all rates by z vanish at a birth: the second stage has the state of the first, at a later time
     unborn = origin if i == 1 and start == 0.0 else math.nan
-    found = rates(state, t, medium, shocks, work.flux, unborn, k[i])
+    found = rates(state, t, medium, shocks, stages, unborn, k[i])
     if found == FOUND_ALL and in_root:
         for l in range(y.size):
             k[i, l] *= 2.0 * z
@@ -192,11 +171,11 @@ def _stage(i, y, time_step, tableau, medium, shocks, work, state):
 
 
 @compiled
-def _label_of_place(p, x, s, ends, state, mesh, rule):
+def _label_of_place(p, x, s, ends, r, X, mesh, rule, w):
     """The label of panel p, between the two ends, that is at x: Newton's method from s, within a bracket."""
     a, b = ends
     for _ in range(60):
-        _, at, _, slope = at_label(p, s, state.r, state.X, mesh, rule, state.w)
+        _, at, _, slope = at_label(p, s, r, X, mesh, rule, w)
         beyond = at - (x - mesh.base[p])
         if beyond > 0.0:
             b = s
@@ -210,13 +189,15 @@ def _label_of_place(p, x, s, ends, state, mesh, rule):
 
 
 @compiled
-def read(y, medium, low, high, flux, nodes, W_out, K_out):
+def read(y, mesh, rule, low, high, stages, nodes, W_out, K_out):
     """W and K at increasing `nodes`: label by label where it is alive, low[p] <= s <= high[p], between shocks' places.
 
     The flux as `rates` leaves it.
     """
-    S, c, mesh, rule, state = flux.S, flux.c, medium.mesh, medium.rule, state_of(y, medium)
-    r, X, w, P = state.r, state.X, state.w, mesh.I.shape[0]
+    S, c = stages.S, stages.c
+    P, n = mesh.I.shape
+    r, X = y[: P * n].reshape(P, n), y[P * n : 2 * P * n].reshape(P, n)
+    w = np.empty(n)
     left, right = np.empty(P), np.empty(P)
     of = np.zeros(P, dtype=np.int64)
     for k in range(mesh.first.size - 1):
@@ -240,7 +221,7 @@ def read(y, medium, low, high, flux, nodes, W_out, K_out):
         elif x >= right[p]:
             s = b
         else:
-            s = _label_of_place(p, x, min(max(s, a), b), (a, b), state, mesh, rule)
+            s = _label_of_place(p, x, min(max(s, a), b), (a, b), r, X, mesh, rule, w)
         weights(rule, s, w)
         value = dot(w, r, p)
         W_out[i] = dot(w, mesh.I, p) - value

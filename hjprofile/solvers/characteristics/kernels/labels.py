@@ -63,21 +63,6 @@ class Medium(NamedTuple):
     law: LawTable
 
 
-class State(NamedTuple):
-    """A state on panels.
-
-    Attributes:
-        r, X: R(q) and the way from the panel's base, shape (panels, points).
-        medium: what stays the same.
-        w: workspace for the weights of an interpolation, shape (points,).
-    """
-
-    r: np.ndarray
-    X: np.ndarray
-    medium: Medium
-    w: np.ndarray
-
-
 class Shocks(NamedTuple):
     """The labels of shocks, which a state decides, as they were found last.
 
@@ -94,11 +79,17 @@ class Shocks(NamedTuple):
     top: np.ndarray
 
 
-class Flux(NamedTuple):
-    """ln K = ln r + S + c: S at the points of panels, c for each segment."""
+class Stages(NamedTuple):
+    """What the stages of a step leave.
+
+    Attributes:
+        S, c: ln K = ln r + S + c in the last one, S at the points of panels, c for each segment.
+        rates: dy/dt in all of them, shape (16, size of y).
+    """
 
     S: np.ndarray
     c: np.ndarray
+    rates: np.ndarray
 
 
 @compiled
@@ -134,8 +125,8 @@ def at_label(p, s, r, X, mesh, rule, w):
     slope = 0.0
     for i in range(w.size):
         slope += w[i] * dot(X[p], rule.D, i)
-    value = dot(w, r, p)
-    return value, dot(w, X, p), dot(w, mesh.I, p) - value, slope
+    rate = dot(w, r, p)
+    return rate, dot(w, X, p), dot(w, mesh.I, p) - rate, slope
 
 
 @compiled
@@ -168,9 +159,8 @@ def law_terms(r, law):
 
 
 @compiled
-def newton_labels(k, off, state):
+def newton_labels(k, off, r, X, mesh, rule, law, w):
     """Labels of shock k by Newton's method from `off`: with W_ξ = q X_ξ it is closed form. Returns whether found."""
-    r, X, w, mesh, rule, law = state.r, state.X, state.w, state.medium.mesh, state.medium.rule, state.medium.law
     empty = mesh.first[k] == mesh.first[k + 1]
     b0, b1 = off[k, 0], off[k, 1]
     best, rounding = 1e300, 1.0
@@ -214,25 +204,23 @@ def newton_labels(k, off, state):
 
 
 @compiled
-def beside(side, k, off, state):
+def beside(side, k, off, r, X, mesh, rule, w):
     """Return local place, X, W and X_ξ of the label `off` left (side = -1.0) or right (1.0) of the joint of shock k.
 
     X is measured from the base of the panel right of the joint.
     """
-    mesh = state.medium.mesh
     p, s = before_end(off, k, mesh) if side < 0.0 else after_start(off, k + 1, mesh)
-    _, at, W, slope = at_label(p, s, state.r, state.X, mesh, state.medium.rule, state.w)
+    rate, at, W, slope = at_label(p, s, r, X, mesh, rule, w)
     return s, mesh.base[p] - mesh.base[mesh.first[k + 1]] + at, W, slope / mesh.half[p]
 
 
 @compiled
-def fold(side, k, state):
+def fold(side, k, r, X, mesh, rule, w):
     """Least `off` beyond which X rises with the label; NaN if it is not on the panels at the joint."""
-    mesh = state.medium.mesh
     step = 0.1 * mesh.half[mesh.first[k + 1] - 1 if side < 0.0 else mesh.first[k + 1]]
     low = high = 0.0
     while True:
-        s, _, _, slope = beside(side, k, high, state)
+        s, _, _, slope = beside(side, k, high, r, X, mesh, rule, w)
         if not abs(s) <= BEYOND:
             return math.nan
         if slope > 0.0:
@@ -242,7 +230,7 @@ def fold(side, k, state):
         step *= 1.2
     while high > 0.0 and high - low > 1e-15 + 1e-13 * high:
         middle = 0.5 * (low + high)
-        if beside(side, k, middle, state)[3] > 0.0:
+        if beside(side, k, middle, r, X, mesh, rule, w)[3] > 0.0:
             high = middle
         else:
             low = middle
@@ -250,13 +238,12 @@ def fold(side, k, state):
 
 
 @compiled
-def label_of(side, k, target, of_W, start, state):
+def label_of(side, k, target, of_W, start, r, X, mesh, rule, w):
     """The `off` beyond `start` at which X (or W, if of_W = 1.0 and not 0.0) is `target`; NaN if not on the panels."""
-    mesh = state.medium.mesh
     step = mesh.half[mesh.first[k + 1] - 1 if side < 0.0 else mesh.first[k + 1]]
     low, high = start, start + 0.1 * step
     while True:
-        s, at, W, _ = beside(side, k, high, state)
+        s, at, W, _ = beside(side, k, high, r, X, mesh, rule, w)
         if not abs(s) <= BEYOND:
             return math.nan
         if (at + of_W * (W - at) - target) * side >= 0.0:
@@ -266,7 +253,7 @@ def label_of(side, k, target, of_W, start, state):
         step *= 1.2
     for _ in range(60):
         middle = 0.5 * (low + high)
-        _, at, W, _ = beside(side, k, middle, state)
+        _, at, W, _ = beside(side, k, middle, r, X, mesh, rule, w)
         if (at + of_W * (W - at) - target) * side >= 0.0:
             high = middle
         else:
@@ -275,27 +262,26 @@ def label_of(side, k, target, of_W, start, state):
 
 
 @compiled
-def bracket_labels(k, off, state):
+def bracket_labels(k, off, r, X, mesh, rule, w):
     """Labels of shock k to start Newton's method from: between the folds of X, W⁻ - W⁺ falls with x."""
-    mesh = state.medium.mesh
-    right = fold(1.0, k, state)
+    right = fold(1.0, k, r, X, mesh, rule, w)
     if mesh.first[k] == mesh.first[k + 1]:
-        off[k, 1] = label_of(1.0, k, 0.0, 1.0, right, state)
+        off[k, 1] = label_of(1.0, k, 0.0, 1.0, right, r, X, mesh, rule, w)
         return off[k, 1] == off[k, 1]
-    left = fold(-1.0, k, state)
+    left = fold(-1.0, k, r, X, mesh, rule, w)
     if not (left >= 0.0 and right >= 0.0):
         return False
-    low, high = beside(1.0, k, right, state)[1], beside(-1.0, k, left, state)[1]
+    low, high = beside(1.0, k, right, r, X, mesh, rule, w)[1], beside(-1.0, k, left, r, X, mesh, rule, w)[1]
     if not low < high:
         return False
     b0 = b1 = 0.0
     for _ in range(60):
         x = 0.5 * (low + high)
-        b0 = label_of(-1.0, k, x, 0.0, left, state)
-        b1 = label_of(1.0, k, x, 0.0, right, state)
+        b0 = label_of(-1.0, k, x, 0.0, left, r, X, mesh, rule, w)
+        b1 = label_of(1.0, k, x, 0.0, right, r, X, mesh, rule, w)
         if b0 != b0:
             low = x
-        elif b1 != b1 or beside(-1.0, k, b0, state)[2] < beside(1.0, k, b1, state)[2]:
+        elif b1 != b1 or beside(-1.0, k, b0, r, X, mesh, rule, w)[2] < beside(1.0, k, b1, r, X, mesh, rule, w)[2]:
             high = x
         else:
             low = x
@@ -308,17 +294,16 @@ def bracket_labels(k, off, state):
 
 
 @compiled
-def shock_labels(k, off, state):
+def shock_labels(k, off, r, X, mesh, rule, law, w):
     """Fill the labels of shock k by Newton's method, or between the folds; return whether they are found.
 
     X rises with the label at both, unless the shock is newborn and both labels are at the joint.
     """
-    if newton_labels(k, off, state):
+    if newton_labels(k, off, r, X, mesh, rule, law, w):
         if max(off[k, 0], off[k, 1]) == 0.0:
             return True
-        mesh = state.medium.mesh
         empty = mesh.first[k] == mesh.first[k + 1]
-        rising = empty or beside(-1.0, k, off[k, 0], state)[3] > 0.0
-        if rising and beside(1.0, k, off[k, 1], state)[3] > 0.0:
+        rising = empty or beside(-1.0, k, off[k, 0], r, X, mesh, rule, w)[3] > 0.0
+        if rising and beside(1.0, k, off[k, 1], r, X, mesh, rule, w)[3] > 0.0:
             return True
-    return bracket_labels(k, off, state) and newton_labels(k, off, state)
+    return bracket_labels(k, off, r, X, mesh, rule, w) and newton_labels(k, off, r, X, mesh, rule, law, w)
