@@ -30,6 +30,7 @@ class Tracker(Solution):
     x: Array
     jump: Array
     label: Array
+    totals: Array
 
     def __init__(self, data: FrontData, exact: bool, end: float, capacity: int):
         self.data, self.exact, self.moment = data, exact, MOMENT * end
