@@ -104,11 +104,11 @@ def sweep(x, jump, n, top, medium, sides):
 
 @compiled
 def speeds(x, jump, n, top, medium, sides, speed):
-    """Fill x' = K [f]/[q] of the first n fronts, and their sides."""
-    sweep(x, jump, n, top, medium, sides)
-    slope, K = sides.slope, sides.K
+    """Fill x' = K [f]/[q] of the first n fronts, and their sides except the slope, which `speed` holds on the way."""
+    K = sides.K
+    sweep(x, jump, n, top, medium, Sides(sides.r_left, sides.r_right, speed, K))
     for j in range(n):
-        speed[j] = slope[j] * K[j]
+        speed[j] *= K[j]
 
 
 @compiled
