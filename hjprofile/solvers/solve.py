@@ -108,7 +108,8 @@ def solve_characteristics(
     instance("problem", problem, Problem)
     grid = problem.grid() if grid is None else grid
     check(METHODS["characteristics"], problem, grid)
-    _tolerance(METHODS["characteristics"], tolerance)
+    if tolerance is not None:
+        tolerance = _tolerance(METHODS["characteristics"], tolerance)
     return by_characteristics(problem, grid, tolerance, progress, patience)
 
 
@@ -121,9 +122,9 @@ def solve(problem: Problem, tolerance: float, grid: Grid | None = None, progress
     instance("problem", problem, Problem)
     method = METHODS["auto"]
     most = _tolerance(method, tolerance)
-    grid = problem.grid(tail=min(TAIL, 0.01 * float(most or 1.0))) if grid is None else grid
-    check(method, problem, grid)
     assert method.solve is not None
+    grid = problem.grid(tail=min(TAIL, 0.01 * most)) if grid is None else grid
+    check(method, problem, grid)
     return method.solve(problem, grid, most, progress)
 
 
@@ -169,7 +170,8 @@ def check_case(case: Case) -> Method:
             )
         if case.tolerance is None and method.needs_tolerance:
             raise InputError(f"method = {method.name!r} needs a tolerance: the largest error of u that will do")
-        _tolerance(method, case.tolerance)
+        if case.tolerance is not None:
+            _tolerance(method, case.tolerance)
         require(
             f"the method {method.name}", method.supports, requirements(case.problem, case.refresh), METHODS.values()
         )
@@ -178,11 +180,9 @@ def check_case(case: Case) -> Method:
     return method
 
 
-def _tolerance(method: Method, asked: object) -> float | None:
-    """Return a tolerance, checked."""
-    if asked is None or method.tolerance is None:
-        return None
-    least, most = method.tolerance
+def _tolerance(method: Method, asked: object) -> float:
+    """Return a tolerance. Raises InputError if the method cannot solve to it."""
+    least, most = method.tolerance or (0.0, np.inf)
     if not least <= (tolerance := as_number(asked)) <= most:
         raise InputError(f"tolerance = {shown(asked)} must lie between {least:g} and {most:g}")
     return tolerance

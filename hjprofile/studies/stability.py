@@ -7,7 +7,7 @@ data carry a sawtooth far below everything else, so that what is unstable shows 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -280,8 +280,7 @@ def _attempt(
     """Outcome and detail of steps of one CFL number; `speed` is used in place of a smaller max K f'."""
     grid, t = data.grid, 0.0
     _roughen(scheme, saw)
-    problem = replace(data.problem, end=data.end, snapshots=1)
-    bounds = BoundsMonitor(problem, grid, scheme.W, promises, flux if viscosity >= 1.0 else None)
+    bounds = BoundsMonitor(data.problem, grid, scheme.W, promises, flux if viscosity >= 1.0 else None)
     taken, oscillates = 0, ""
     try:
         while True:

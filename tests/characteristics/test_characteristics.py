@@ -20,6 +20,7 @@ from hjprofile.solvers.characteristics.panels import RULE, cut_into_panels, inte
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.snapshots import Lost
+from hjprofile.solvers.stop import Reason, Stop
 
 LAWS = {"rational": hj.rational(), "log": hj.log(), "power": hj.power(3.0)}
 LAWS["user"] = hj.expression("sqrt(1+q) - 1/sqrt(1+q)")
@@ -196,7 +197,7 @@ def test_lost_labels_stop_the_run_with_the_last_good_state(monkeypatch):
 
     def lose(self, target):
         if target > 1.0:
-            raise Lost("the labels of kink 1 cannot be told")
+            raise Lost(Stop(Reason.LABELS_LOST, "the labels of kink 1 cannot be told"))
         advance(self, target)
 
     monkeypatch.setattr(MovingLabels, "advance", lose)

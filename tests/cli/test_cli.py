@@ -18,7 +18,6 @@ import tomli_w
 from grid_methods import TWINS, with_fault
 
 import hjprofile
-from hjprofile.cli import solving
 from hjprofile.cli.common import Progress, app
 from hjprofile.output.checkpoint import NAME, Checkpoint
 from hjprofile.output.store import load_run
@@ -163,7 +162,7 @@ def test_the_account_says_which_bounds_were_not_held(folder, call):
     code, out, err = call("run", "bare.toml", "--method", "godunov", "--cfl", "2", "--strict")
     assert code == 1 and "stopped at t = " in err and f"{broken[0]} does not hold" in err
     lost = {"mass_budget": run.bounds["mass_budget"]._replace(holds=False)}
-    assert "mass NOT KEPT" in solving._account(dataclasses.replace(run, bounds={**run.bounds, **lost}))
+    assert "mass NOT KEPT" in run_command._account(dataclasses.replace(run, bounds={**run.bounds, **lost}))
 
 
 def test_stability_writes_its_table_and_picture(folder, call, monkeypatch):

@@ -120,7 +120,7 @@ def test_chart_stability_and_dependence(scene, ask, monkeypatch):
     monkeypatch.setattr(stability, "stability", lambda *_: trials)
     document = ask("stability", "scene.toml")
     assert document["limits"] == {"godunov": {"holds_at": 1.0, "fails_at": 2.0, "theory": 1.0}}
-    assert document["trials"] == [t._asdict() for t in trials]
+    assert document["trials"] == [t._asdict() | {"cfl": None} for t in trials]
     monkeypatch.setattr(stability, "stability", lambda *_: trials[:2])
     assert ask("stability", "scene.toml")["limits"]["godunov"]["fails_at"] is None  # it never does
 

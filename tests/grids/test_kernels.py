@@ -318,10 +318,11 @@ def test_nothing_is_compiled_twice(tmp_path):
     """A second process finds what the first has compiled, for a formula and for a table; one step needs few loops."""
     script = (
         "import hjprofile as hj\n"
-        "from hjprofile.solvers.grids.hamilton_jacobi import scheme\n"
+        "from hjprofile.solvers.methods import METHODS\n"
         "from hjprofile.solvers.grids.kernels.wavefront import hj_pass\n"
         "for law in (hj.rational(), hj.log(), hj.power(2.0), hj.expression('q/(1+q)')):\n"
-        "    form = scheme(hj.Problem(law, hj.kinks([-1.0], [0.5]), end=0.1), hj.Grid(-2.0, 50), 'godunov')\n"
+        "    problem, grid = hj.Problem(law, hj.kinks([-1.0], [0.5]), end=0.1), hj.Grid(-2.0, 50)\n"
+        "    form = METHODS['godunov'].setup.scheme(problem, grid, None)\n"
         "    bound = form.evaluate()\n"
         "    form.advance(0.01 / bound, 1, bound)\n"
         "print(sum(hj_pass.stats.cache_hits.values()), sum(hj_pass.stats.cache_misses.values()))\n"

@@ -105,7 +105,7 @@ def test_each_single_fault_in_a_sweep_turns_it_red(fault, monkeypatch):
 @pytest.mark.parametrize("fault", OF_MANY)
 def test_a_fault_in_a_sweep_turns_it_red(fault, monkeypatch):
     """With one numerical flux and the telescoping one: a faulty sweep is compiled for each of them."""
-    monkeypatch.setattr(consistency, "HJ_METHODS", ("godunov",))
+    monkeypatch.setattr(consistency, "CONVERGING", ("godunov",))
     turns_red(fault, monkeypatch)
 
 

@@ -151,7 +151,7 @@ def test_what_cannot_be_studied_is_refused():
 
 @pytest.mark.parametrize(
     ("name", "words"),
-    [("thin_layer", "rolling layer"), ("vertical_step", "vertical steps"), ("travelling_wave", "half line")],
+    [("thin_layer", "rolling layer"), ("vertical_step", "growth = 'linear'"), ("travelling_wave", "line = 'whole'")],
 )
 def test_other_models_are_refused_by_their_case(name, words):
     case = hj.load_case(name)

@@ -7,7 +7,7 @@ import tomli_w
 from bad_cases import LAWS, PROFILES, VALID
 
 from hjprofile.problem.case_files import shipped_cases
-from hjprofile.solvers.methods import METHODS
+from hjprofile.solvers.methods import named
 
 SHIPPED = {name: path.read_text(encoding="utf-8") for name, path in shipped_cases().items()}
 NUMBERS = [
@@ -19,7 +19,7 @@ WORDS = [
     "%s", "{0}", "$x_$", "\\", '"', "'", "#", "[", "]]", "=", "....", "a" * 500, "nan", "isotonic", "godunow",
     "user.py", "survey.csv", "absent.csv", ".", "/", "/dev/null", "../..", "f" * 300 + ".py", "f", "u", "q",
     "log(1+q)", "q/(1+q)",
-    *LAWS, *PROFILES, *METHODS,
+    *LAWS, *PROFILES, *named(),
 ]  # fmt: skip
 VALUES = [
     "[]", "{}", "[[]]", "[nan]", "[1, 'a']", "[[-3.0]]", "[-3.0, -2.0, -1.0]", "{a = 1}", "true", "''", "'\\'",
@@ -168,7 +168,7 @@ def random_content(rng):
     end = rng.choice([0.0, 1.0, 1e-12, 10.0 ** rng.uniform(-3, 3)])
     times = sorted({round(rng.uniform(0.0, end), 6) for _ in range(rng.randint(1, 4))})
     content["time"] = {"end": end, "snapshots": rng.choice([1, 2, rng.randint(1, 50), times])}
-    content["solver"] = {"method": rng.choice(METHODS), "cfl": rng.choice([0.9, 1.0, rng.uniform(0.01, 5.0)])}
+    content["solver"] = {"method": rng.choice(named()), "cfl": rng.choice([0.9, 1.0, rng.uniform(0.01, 5.0)])}
     if rng.random() < 0.1:
         content["layer"] = {"thickness": 10.0 ** rng.uniform(-4, 1)}
         content["erosion"], content["solver"]["method"] = {"law": "rational"}, "conservative-telescoping"

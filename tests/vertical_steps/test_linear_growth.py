@@ -413,7 +413,7 @@ def test_methods_that_cannot_carry_a_step_are_refused(method):
         "solver": {"method": method} | ({"tolerance": 1e-5} if method == "auto" else {}),
     }
     parsed = parse_case(case, "a", "a.toml", None)
-    with pytest.raises(hj.InputError, match="telescoping, conservative-telescoping, conservative, fronts") as error:
+    with pytest.raises(hj.InputError, match="telescoping, conservative, conservative-telescoping, fronts") as error:
         hj.solve_case(parsed)
     assert method in str(error.value) and "[solver]" in str(error.value)
     with pytest.raises(hj.InputError, match="does not take a law with growth"):
