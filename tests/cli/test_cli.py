@@ -18,6 +18,7 @@ import tomli_w
 from grid_methods import TWINS, with_fault
 
 import hjprofile
+from hjprofile.cli import run_command
 from hjprofile.cli.common import Progress, app
 from hjprofile.output.checkpoint import NAME, Checkpoint
 from hjprofile.output.store import load_run

@@ -233,7 +233,7 @@ def assert_same(first, second):
             assert list(map(str, a)) == list(map(str, b)), field.name
             assert field.name != "bounds" or str(dict(a)) == str(dict(b))
         elif field.name == "stop":  # its sentence is the status, which a file holds
-            assert b is None
+            assert a is None
         elif isinstance(a, np.ndarray):
             assert np.array_equal(a, b) and a.dtype == b.dtype, field.name
         else:
