@@ -1,0 +1,86 @@
+"""The table of methods: what a row says of a method is what the method does."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hjprofile as hj
+from hjprofile.solvers.method import Feature, Form, requirements
+from hjprofile.solvers.methods import FLUXES, METHODS, find_method, named
+from hjprofile.solvers.solve import check, solve_with
+
+KINK = hj.kinks([-3.0], [0.5])
+GRID, WINDOW = hj.Grid(-5.0, 60), hj.Grid(-5.0, 60, 1.0)
+LINEAR = hj.expression("2 + q/2 - 2/(1+q)**0.25", growth="linear")
+ASKING = {  # a problem that asks for one feature, its grid, and the refresh interval
+    Feature.INFLOW: (hj.Problem(hj.rational(), hj.steady(0.3), end=0.1), GRID, None),
+    Feature.COEFFICIENT: (hj.Problem(hj.rational(), KINK, end=0.1, coefficient=hj.coefficient("1 - x")), GRID, None),
+    Feature.REFRESH: (hj.Problem(hj.rational(), KINK, end=0.1), GRID, 0.05),
+    Feature.LAYER: (hj.Problem(hj.rational(), KINK, end=0.1, thickness=0.1), GRID, None),
+    Feature.WHOLE_LINE: (hj.Problem(hj.rational(), KINK, end=0.1, line="whole"), WINDOW, None),
+    Feature.LINEAR_GROWTH: (hj.Problem(LINEAR, KINK, end=0.1), GRID, None),
+}
+
+
+@pytest.mark.parametrize("feature", Feature)
+def test_a_problem_asks_for_what_it_needs(feature):
+    problem, _, refresh = ASKING[feature]
+    assert requirements(problem, refresh) == {feature}
+    assert requirements(hj.Problem(hj.rational(), KINK, end=0.1)) == frozenset()
+
+
+@pytest.mark.parametrize("feature", Feature)
+@pytest.mark.parametrize("method", METHODS)
+def test_what_a_method_supports_it_solves_and_the_rest_it_refuses(method, feature):
+    (problem, grid, refresh), row = ASKING[feature], METHODS[method]
+    if feature not in row.supports:
+        able = ", ".join(name for name, other in METHODS.items() if feature in other.supports)
+        words = f"the method {method} does not take {feature.words}; methods that do: {able}"
+        with pytest.raises(hj.InputError) as error:
+            check(row, problem, grid, refresh)
+        assert str(error.value) == words
+        return
+    if row.on_grid:
+        run = solve_with(row, problem, grid, refresh=refresh)
+    else:
+        check(row, problem, grid, refresh)
+        run = row.solve(problem, grid, 1e-3 if row.needs_tolerance else None, None)
+    assert run.done and np.isfinite(run.u).all()
+
+
+def test_a_refresh_goes_with_the_nonlocal_factor_on_the_half_line_only():
+    for feature in (Feature.LAYER, Feature.WHOLE_LINE, Feature.LINEAR_GROWTH):
+        problem = ASKING[feature][0]
+        with pytest.raises(hj.InputError, match=r"refresh = 0\.05 does not go together with") as error:
+            requirements(problem, 0.05)
+        assert feature.words in str(error.value)
+
+
+def test_rows_agree_with_each_other():
+    assert [*named(Form.HEIGHT), *named(Form.SLOPE), *named(Form.OFF_GRID)] == [*METHODS]
+    for name, row in METHODS.items():
+        assert row.name == name and row.on_grid == (row.setup is not None) == (row.solve is None)
+        assert set(row.variants) <= row.supports
+        assert row.form is Form.SLOPE if row.carries else True
+        if row.carries:
+            assert METHODS[row.carries].form is Form.HEIGHT and METHODS[row.carries].flux is row.flux
+        if row.flux:  # no proof allows more than the scheme takes
+            assert row.cfl_proved <= row.flux.cfl_limit and row.flux is FLUXES[row.flux.name]
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        METHODS["conservative"].name = "another"
+
+
+def test_an_unknown_name_is_met_with_the_nearest():
+    with pytest.raises(hj.InputError, match=r"'gudonov' is not known; did you mean 'godunov'\? \(allowed: lax"):
+        find_method("gudonov")
+    with pytest.raises(hj.InputError, match=r"method = 'weno5' is not known.*allowed: conservative, "):
+        find_method("weno5", named(Form.SLOPE))
+
+
+def test_a_flux_is_named_where_it_is_written_and_in_its_row():
+    """Its twin, its row, and the method that sentences recommend: the kernel has a type of that name."""
+    library = Path(hj.__file__).parent
+    spelled = [path.name for path in sorted(library.rglob("*.py")) if "godunov" in path.read_text(encoding="utf-8")]
+    assert spelled == ["conservation.py", "methods.py", "stop.py"]
