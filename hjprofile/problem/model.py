@@ -1,4 +1,4 @@
-"""What is modelled: exactly one of five, each with what it needs."""
+"""The five models, of which a problem has exactly one."""
 
 from __future__ import annotations
 

@@ -27,7 +27,6 @@ from hjprofile.solvers.grids.bounds_monitor import (
     STEEP_SECOND_ORDER,
     TELESCOPING,
     WITH_LAYER,
-    Promises,
 )
 from hjprofile.solvers.grids.conservation import FirstOrder, HighOrderConservation, SecondOrder
 from hjprofile.solvers.grids.factor import Factor
@@ -64,7 +63,7 @@ FLUXES: Mapping[str, Flux] = MappingProxyType(
         )
     }
 )  # fmt: skip
-PROMISES: Mapping[str, Promises] = {"local-lax-friedrichs": LOCAL, "telescoping": TELESCOPING}  # else MONOTONE
+_PROMISES = {"local-lax-friedrichs": LOCAL, "telescoping": TELESCOPING}  # else MONOTONE
 
 
 def _data(problem: Problem, grid: Grid, refresh: float | None) -> tuple[GridLaw, Array, Factor]:
@@ -73,10 +72,12 @@ def _data(problem: Problem, grid: Grid, refresh: float | None) -> tuple[GridLaw,
     return grid_law(problem.law, np.diff(W) / grid.dx), W, Factor(grid, problem.coefficient, refresh)
 
 
-def _for_height(flux: Flux) -> MakeScheme:
+def _for_height(make: Callable[..., Scheme], part: Flux | str) -> MakeScheme:
+    """A scheme of heights that is made of law, grid, W, a flux or the name of an order, inflow and the factor."""
+
     def scheme(problem: Problem, grid: Grid, refresh: float | None = None) -> Scheme:
         law, W, factor = _data(problem, grid, refresh)
-        return HamiltonJacobi(law, grid, W, flux, problem.profile.inflow, factor)
+        return make(law, grid, W, part, problem.profile.inflow, factor)
 
     return scheme
 
@@ -96,14 +97,6 @@ def _without_factor(make: Callable[..., Scheme], *parts: object) -> MakeScheme:
     return _for_slope(lambda *given: make(*given[:-1]), *parts)
 
 
-def _high_order_height(order: str) -> MakeScheme:
-    def scheme(problem: Problem, grid: Grid, refresh: float | None = None) -> Scheme:
-        law, W, factor = _data(problem, grid, refresh)
-        return HighOrderHamiltonJacobi(law, grid, W, order, problem.profile.inflow, factor)
-
-    return scheme
-
-
 def _below_a_layer(problem: Problem, grid: Grid, refresh: float | None = None) -> Scheme:
     return _without_factor(WithLayer, FLUXES["telescoping"], problem.thickness)(problem, grid, refresh)
 
@@ -119,11 +112,11 @@ def _second_order() -> Method:
 def _first_order() -> Iterator[Method]:
     for flux in FLUXES.values():
         steep = flux is FLUXES["telescoping"]  # moves a vertical step at its right speed, whatever K is (theory, §14)
-        promises = PROMISES.get(flux.name, MONOTONE)
+        promises = _PROMISES.get(flux.name, MONOTONE)
         supports = ON_GRIDS | {Feature.LINEAR_GROWTH} if steep else ON_GRIDS
         about = {"flux": flux, "midpoint": True, "cfl_proved": 2 / 3 if flux.viscous else 1.0}
         for name, form, scheme in (
-            (flux.name, Form.HEIGHT, _for_height(flux)),
+            (flux.name, Form.HEIGHT, _for_height(HamiltonJacobi, flux)),
             (f"conservative-{flux.name}", Form.SLOPE, _for_slope(FirstOrder, flux)),
         ):
             carries = flux.name if form is Form.SLOPE else ""
@@ -138,7 +131,7 @@ def _first_order() -> Iterator[Method]:
 
 def _high_order() -> Iterator[Method]:
     for name, order in ORDERS.items():
-        high = Setup(_high_order_height(name), HIGHER_ORDER)
+        high = Setup(_for_height(HighOrderHamiltonJacobi, name), HIGHER_ORDER)
         yield Method(name, Form.HEIGHT, ON_GRIDS, high, cfl_proved=order.cfl_proved)
         high = Setup(_for_slope(HighOrderConservation, name), HIGHER_ORDER)
         yield Method(f"conservative-{name}", Form.SLOPE, ON_GRIDS, high, carries=name, cfl_proved=order.cfl_proved)

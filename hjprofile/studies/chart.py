@@ -28,7 +28,6 @@ TOLERANCES = 1e-7, 1e-9, 1e-11
 REFERENCE_FRONTS = 12800
 STEEP_REFERENCE_FRONTS = 3200  # under a law of linear growth, where a front costs ten times as much
 REPEATS = 3
-FINEST = 1e-13  # tolerance of characteristics
 PATIENCE = 0.3  # seconds that a run may take before finer ones of its method are left out
 SNAPSHOTS = 5  # times over which errors are taken
 ROUNDING = 4.0 * float(np.finfo(float).eps)  # of u - x of order 1 at a node
@@ -158,14 +157,15 @@ def _reference(problem: Problem, grid: Grid) -> Reference:
         )  # fmt: skip
     steep = isinstance(problem.model, LinearGrowth)
     if not steep:  # vertical steps are followed by fronts alone
+        finest, _ = METHODS["characteristics"].tolerance or (0.0, 0.0)
         with suppress(RunError):
-            run, coarser = (solve_characteristics(problem, grid, e) for e in (FINEST, 100.0 * FINEST))
+            run, coarser = (solve_characteristics(problem, grid, e) for e in (finest, 100.0 * finest))
             if run.done and coarser.done and run.error_estimate is not None:
                 rounding = ROUNDING * grid.cells * (1.0 + float(np.abs(run.u - run.x).max()))  # of differences of u
                 error_q = max(run.error_estimate, SAFETY * _distance(run.q, coarser.q, grid)) + rounding
 
                 def by_characteristics(g: Grid) -> tuple[Array, Array]:
-                    read = solve_characteristics(problem, g, FINEST)
+                    read = solve_characteristics(problem, g, finest)
                     return read.u, read.q
 
                 return Reference("characteristics", run.error_estimate, error_q, by_characteristics)

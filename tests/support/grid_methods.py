@@ -29,5 +29,6 @@ def with_fault(monkeypatch, name, **changes):
     """Builds changes of its flux into a method on a grid."""
     method = METHODS[name]
     flux = replace(method.flux, **changes)
-    make = methods._for_height(flux) if method.form is Form.HEIGHT else methods._for_slope(methods.FirstOrder, flux)
+    height = method.form is Form.HEIGHT
+    make = methods._for_height(methods.HamiltonJacobi, flux) if height else methods._for_slope(methods.FirstOrder, flux)
     monkeypatch.setitem(methods._TABLE, name, replace(method, flux=flux, setup=Setup(make, method.setup.promises)))
