@@ -275,7 +275,7 @@ def _judged_by(method: Method) -> Flux | None:
 @np.errstate(all="ignore")
 def _attempt(
     scheme: Scheme, data: _Data, number: float, promises: Promises, flux: Flux | None = None,
-    viscosity: float = 1.0, saw: float = SAWTOOTH, steps: int = STEPS, speed: float = 0.0,
+    viscosity: float = 1.0, saw: float = SAWTOOTH, steps: int | None = None, speed: float = 0.0,
 ) -> tuple[str, str]:  # fmt: skip
     """Outcome and detail of steps of one CFL number; `speed` is used in place of a smaller max K f'."""
     grid, t = data.grid, 0.0
@@ -296,7 +296,7 @@ def _attempt(
             grown = float(np.abs(np.diff(q)).sum()) - bounds.variation - bounds.growth_allowed
             if grown > OSCILLATION * (1.0 + bounds.variation):
                 oscillates = oscillates or f"TV(q) grows beyond what it may at t = {t:.4g}, step {taken}"
-            if t >= data.end or taken >= steps:
+            if t >= data.end or taken >= (STEPS if steps is None else steps):
                 break
             dt = min(dt, data.end - t)
             if not np.isfinite(scheme.advance(dt, 1, fastest)):
@@ -306,7 +306,7 @@ def _attempt(
         x = float(grid.centres[min(broken.cell, grid.cells - 1)])
         what = "the run cannot start" if not taken else f"q = {broken.q:.4g} at x = {x:.4g}, t = {t:.4g}, step {taken}"
         return FAILS, f"{oscillates}; {what}" if oscillates else what
-    if t < data.end and steps == STEPS:
+    if t < data.end and steps is None:
         return FAILS, f"the time step collapses: {taken} steps to t = {t:.4g} of {data.end:.4g}"
     if oscillates:
         return OSCILLATES, oscillates

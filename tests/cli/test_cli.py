@@ -352,7 +352,7 @@ import numpy as np
 
 def f(q):
     if 100 < np.size(q) <= 161:  # the nodes, some hundreds of times
-        time.sleep(0.01)
+        time.sleep(0.005)
     return q / (1 + q)
 """
 
