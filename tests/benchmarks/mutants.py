@@ -3,6 +3,7 @@
     python tests/benchmarks/mutants.py --count 200 --seed 1 --out mutants.md
     python tests/benchmarks/mutants.py --only hjprofile/studies --count 20 --hours 1
     python tests/benchmarks/mutants.py --near                     with the tests of one folder only: candidates
+    python tests/benchmarks/mutants.py --jobs 2 --unchecked       two at a time; the tests are known to pass
     python tests/benchmarks/mutants.py --list --count 20          print the mutants, run nothing
 
 A mutant is a copy of the package in which one expression or statement is changed: an operator, a comparison, `and` for
@@ -33,6 +34,8 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -341,6 +344,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", default=list(SCOPE), metavar="PATH")
     parser.add_argument("--hours", type=float, default=float("inf"))
     parser.add_argument("--out", type=Path, default=Path("mutants.md"))
+    parser.add_argument("--jobs", type=int, default=1, help="mutants that are tested at the same time")
     parser.add_argument("--list", action="store_true")
     parser.add_argument("--near", action="store_true", help="run the tests of the mirroring folder only")
     parser.add_argument("--unchecked", action="store_true", help="do not run the tests without a mutant first")
@@ -351,25 +355,33 @@ def main() -> None:
     signal.signal(signal.SIGHUP, lambda number, frame: None)
     if not (options.list or options.unchecked) and (failed := verdict(None)):
         sys.exit(f"without a mutant: {failed}")
+    mutants = list(islice(drawn(options.only, options.seed), options.count))
+    if options.list:
+        for mutant in mutants:
+            before, after = mutant.lines((ROOT / mutant.path).read_text(encoding="utf-8"))
+            print(f"{mutant.path}:{mutant.line}\n    {before}\n    {after}")
+        return
     until, count = time.monotonic() + 3600.0 * options.hours, Counter[str]()
     rows = ["| mutant | before | after | killed by | s |", "|---|---|---|---|---|"]
-    for number, mutant in enumerate(drawn(options.only, options.seed)):
-        if number == options.count or time.monotonic() > until:
-            break
-        before, after = mutant.lines((ROOT / mutant.path).read_text(encoding="utf-8"))
-        if options.list:
-            print(f"{mutant.path}:{mutant.line}\n    {before}\n    {after}")
-            continue
-        started = time.monotonic()
-        killer = verdict(mutant, options.near)
-        count["killed" if killer else "survived"] += 1
-        cells = [f"`{cell}`".replace("|", "\\|") for cell in (f"{mutant.path}:{mutant.line}", before, after)]
-        cells += [f"`{killer}`".replace("|", "\\|") if killer else "**survived**", f"{time.monotonic() - started:.0f}"]
-        rows.append(f"| {' | '.join(cells)} |")
-        share = count["killed"] / count.total()
-        end = f"\nSeed {options.seed}: {count['killed']} of {count.total()} mutants are killed ({share:.0%}).\n"
-        options.out.write_text("\n".join(rows) + "\n" + end, encoding="utf-8")
-        print(f"{mutant.path}:{mutant.line}: {killer or 'SURVIVED'}", flush=True)
+
+    def tested(mutant: Mutant) -> tuple[Mutant, str, float] | None:
+        if (started := time.monotonic()) > until:
+            return None
+        return mutant, verdict(mutant, options.near), time.monotonic() - started
+
+    with ThreadPoolExecutor(options.jobs) as pool:
+        for done in as_completed([pool.submit(tested, mutant) for mutant in mutants]):
+            if found := done.result():
+                mutant, killer, seconds = found
+                count["killed" if killer else "survived"] += 1
+                before, after = mutant.lines((ROOT / mutant.path).read_text(encoding="utf-8"))
+                cells = [f"`{cell}`".replace("|", "\\|") for cell in (f"{mutant.path}:{mutant.line}", before, after)]
+                cells += [f"`{killer}`".replace("|", "\\|") if killer else "**survived**", f"{seconds:.0f}"]
+                rows.append(f"| {' | '.join(cells)} |")
+                share = count["killed"] / count.total()
+                end = f"\nSeed {options.seed}: {count['killed']} of {count.total()} mutants are killed ({share:.0%}).\n"
+                options.out.write_text("\n".join(rows) + "\n" + end, encoding="utf-8")
+                print(f"{mutant.path}:{mutant.line}: {killer or 'SURVIVED'} ({seconds:.0f} s)", flush=True)
 
 
 if __name__ == "__main__":
