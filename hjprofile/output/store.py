@@ -180,10 +180,11 @@ def summary(run: Run) -> dict[str, Any]:
         "time_step": {"least": run.step_range[0], "largest": run.step_range[1]},
         "wall_seconds": run.wall_seconds,
         "cell_updates_per_second": updates,
-        "end": float(run.time[-1]),
+        "supplied": float(run.time[-1]),
         "kinks_at_end": len(run.kinks_at(-1)),
         "eroded_volume": run.eroded_volume,
-        "outflow": run.outflow,
+        "toe_outflow": run.toe_outflow,
+        "crest_lowering": run.crest_lowering,
         "volume_budget": {"difference": run.volume_budget_error, "promise": run.bounds["volume_budget"].allowance}
         if "volume_budget" in run.bounds
         else None,
@@ -247,7 +248,8 @@ def load_run(folder: str | Path) -> Run:
             step_range=(_number(content["time_step"]["least"]), _number(content["time_step"]["largest"])),
             kinks=_table(folder, "kinks.csv", KinkRecord), events=_table(folder, "events.csv", Event),
             vertical_steps=_table(folder, STEPS_FILE, VerticalStep) if (folder / STEPS_FILE).exists() else None,
-            eroded_volume=_number(content["eroded_volume"]), outflow=_number(content["outflow"]), units=units,
+            eroded_volume=_number(content["eroded_volume"]), toe_outflow=_number(content["toe_outflow"]),
+            crest_lowering=_number(content["crest_lowering"]), units=units,
             bounds=bounds, volume_budget_error=_number((content["volume_budget"] or {}).get("difference")),
             error_estimate=content.get("error_estimate"), account=content.get("account", ""),
             cautions=tuple(content["warnings"][:cautions]),  # the others belong to broken bounds

@@ -26,7 +26,7 @@ from hjprofile.studies.sweep import QUANTITIES, Member, Outcome, members, run_me
 KEPT = "members"  # folder of what is done
 SHOWN = 14  # rows of the account
 LARGEST_VARIABLE = 2**31  # bytes of a netCDF-3 variable without an unlimited dimension, as scipy writes it
-_IN_ACCOUNT = ("eroded_volume", "outflow", "largest_lowering", "kinks_at_end")
+_IN_ACCOUNT = ("eroded_volume", "toe_outflow", "largest_lowering", "kinks_at_end")
 _COLUMNS = ("status", "method", *QUANTITIES, "broken_bounds", "wall_seconds")
 
 

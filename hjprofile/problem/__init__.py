@@ -33,7 +33,7 @@ class Problem:
         end: mass of grains poured in all; it serves as time.
         snapshots: a count (evenly spaced, both ends) or the times that are kept.
         coefficient: k(t, x) in place of the nonlocal factor (theory, §9); None for the factor itself.
-        thickness: of the rolling layer at the top where the slope is critical, which is the flux ε that is poured in
+        supply_flux: of the rolling layer at the top where the slope is critical, which is the flux ε that is poured in
             (theory, §8); 0 is the limit of slow erosion.
         line: "half", the slope x <= 0 below its top, or "whole", of which the grid is a window (theory, §13).
 
@@ -47,7 +47,7 @@ class Problem:
     snapshots: int | Sequence[float] = 31
     title: str = ""
     coefficient: Coefficient | None = None
-    thickness: float = 0.0
+    supply_flux: float = 0.0
     line: str = "half"
 
     def __post_init__(self) -> None:
@@ -58,18 +58,18 @@ class Problem:
             raise InputError(f"title has {len(self.title)} characters; at most {LONGEST_TITLE} are allowed")
         if self.coefficient is not None:
             instance("coefficient", self.coefficient, Coefficient)
-        for name in ("end", "thickness"):
+        for name in ("end", "supply_flux"):
             object.__setattr__(self, name, number(name, getattr(self, name)))
         object.__setattr__(self, "snapshots", _count_or_times(self.snapshots, self.end))
-        if self.thickness and self.law.name != "rational":
+        if self.supply_flux and self.law.name != "rational":
             raise InputError(
-                f"thickness = {self.thickness:g} needs the law 'rational', not {self.law.name!r}: the model with a "
+                f"supply_flux = {self.supply_flux:g} needs the law 'rational', not {self.law.name!r}: the model with a "
                 "rolling layer has no other"
             )
         if self.line not in LINES:
             raise InputError(f"line = {shown(self.line)} is not known; allowed are {', '.join(map(repr, LINES))}")
-        if self.thickness and self.line == "whole":
-            raise InputError(f"thickness = {self.thickness:g} needs line = 'half': grains that start at the top")
+        if self.supply_flux and self.line == "whole":
+            raise InputError(f"supply_flux = {self.supply_flux:g} needs line = 'half': grains that start at the top")
         models = self._models()
         if len(models) > 1:
             raise InputError(f"{' and '.join(models)} do not go together")
@@ -89,8 +89,8 @@ class Problem:
         models: dict[str, Model] = {}
         if self.coefficient is not None:
             models["a coefficient"] = Prescribed(self.coefficient)
-        if self.thickness > 0.0:
-            models["a layer's thickness"] = RollingLayer(self.thickness)
+        if self.supply_flux > 0.0:
+            models["a rolling layer"] = RollingLayer(self.supply_flux)
         if self.line == "whole":
             models["line = 'whole'"] = WholeLine()
         if self.law.grows_linearly:

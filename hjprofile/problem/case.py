@@ -29,7 +29,7 @@ DEFAULT_CHECKPOINT = 60.0  # seconds
 
 TOP = Key("title", TEXT, None), *(Key(name, TABLE, {}) for name in (*SECTIONS, "expect"))
 LAWS = Choices(Key("law", TEXT), erosion.rational, erosion.log, erosion.power, erosion.expression, erosion.from_file)
-LAYER = (Key("thickness", NUMBER, 0.0, check=number),)
+LAYER = (Key("supply_flux", NUMBER, 0.0, check=number),)
 PROFILES = Choices(
     Key("kind", TEXT), profiles.Kinks, profiles.Bumps, profiles.steps, profiles.Points, profiles.Steady, survey,
     profiles.from_file,
@@ -178,7 +178,7 @@ def _together(
     with medium.noting():
         problem = replace(problem, coefficient=given)
     with sections["layer"].noting():
-        problem = replace(problem, thickness=rest["thickness"] or 0.0)
+        problem = replace(problem, supply_flux=rest["supply_flux"] or 0.0)
     if grid is None or not domain.sound:
         return problem
     with domain.noting():
@@ -210,7 +210,7 @@ def resolved_case(
     solver = {"method": method, "cfl": cfl, "tolerance": tolerance, "refresh": refresh}
     sections = {
         "erosion": plain(problem.law.table),
-        "layer": to_table(LAYER, {"thickness": problem.thickness}),
+        "layer": to_table(LAYER, {"supply_flux": problem.supply_flux}),
         "profile": plain(problem.profile.table),
         "coefficient": plain(problem.coefficient.table) if problem.coefficient else {},
         "domain": LINES.table(domain),

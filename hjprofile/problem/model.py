@@ -23,7 +23,7 @@ class Prescribed:
 class RollingLayer:
     """The 2x2 model with a rolling layer, of this flux at the top (theory, §8)."""
 
-    thickness: float
+    supply_flux: float
 
 
 @dataclass(frozen=True)

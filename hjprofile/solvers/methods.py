@@ -98,7 +98,7 @@ def _without_factor(make: Callable[..., Scheme], *parts: object) -> MakeScheme:
 
 
 def _below_a_layer(problem: Problem, grid: Grid, refresh: float | None = None) -> Scheme:
-    return _without_factor(WithLayer, FLUXES["telescoping"], problem.thickness)(problem, grid, refresh)
+    return _without_factor(WithLayer, FLUXES["telescoping"], problem.supply_flux)(problem, grid, refresh)
 
 
 def _second_order() -> Method:

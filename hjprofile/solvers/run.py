@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 Array = np.ndarray
 
 FIELDS: dict[str, tuple[tuple[str, ...], dict[str, str]]] = {  # name -> dimensions, CF attributes
-    "time": (("time",), {"long_name": "mass of grains poured in", "units": "1", "axis": "T"}),
-    "x": (("node",), {"long_name": "distance from the top of the slope, uphill positive", "units": "1", "axis": "X"}),
+    "time": (("time",), {"long_name": "supplied mass of grains", "units": "1", "axis": "T"}),
+    "x": (("node",), {"long_name": "distance from the crest, uphill positive", "units": "1", "axis": "X"}),
     "x_cell": (("cell",), {"long_name": "midpoints of the cells", "units": "1"}),
     "u": (("time", "node"), {"long_name": "height of the standing profile", "units": "1"}),
     "q": (("time", "cell"), {"long_name": "excess slope du/dx - 1, mean over the cell", "units": "1"}),
-    "K": (("time", "node"), {"long_name": "nonlocal factor: thickening of the avalanche", "units": "1"}),
+    "K": (("time", "node"), {"long_name": "grain flux relative to the supply", "units": "1"}),
 }
 UNITS = ("length", "critical_slope", "x_top", "height_top")
 
@@ -42,7 +42,7 @@ class State(NamedTuple):
     bound: float  # of K f' in the last steps, and ...
     dt: float  # ... their length; 0 before the first
     growth: float  # ∫(K(left) - 1) dt so far: grains that left at the foot beyond those poured in
-    outflow: float  # ∫F(x = 0) dt so far
+    crest_lowering: float  # ∫F(x = 0) dt so far
     volume: Callable[[], float]  # ∫(u - x) dx by the method's own sum
     K: Array | None = None  # the factor at the nodes of these cells, if q does not decide it
 
@@ -200,8 +200,9 @@ class Run:
             law has none.
         bounds: name -> Verdict for each a-priori fact and budget that was watched.
         eroded_volume: ∫(u(0,x) - u(t,x)) dx at the end.
-        outflow: ∫F(x = 0) dt at the end: excess slope that has left at the top, by which the top was lowered. What left
-            at the foot is what was poured in plus `eroded_volume`.
+        toe_outflow: ∫K(t, left) dt at the end: the grains that have left at the toe. It is the supply plus the eroded
+            volume. NaN if the coefficient is prescribed.
+        crest_lowering: ∫F(t, 0) dt at the end, which is u(0, 0) - u(t, 0).
         volume_budget_error: the most by which the eroded volume ever differed from ∫(K(left) - 1) dt.
         error_estimate: of sup|u - exact u| over all saved times, where the method knows one, else None.
         units: the way back to a survey's units, else None.
@@ -228,7 +229,8 @@ class Run:
     vertical_steps: Sequence[VerticalStep] | None = None
     bounds: Mapping[str, Verdict] = field(default_factory=dict)
     eroded_volume: float = np.nan
-    outflow: float = np.nan
+    toe_outflow: float = np.nan
+    crest_lowering: float = np.nan
     volume_budget_error: float = np.nan
     error_estimate: float | None = None
     units: Units | None = None

@@ -25,9 +25,9 @@ class SnapshotBounds:
         self.grid, self.mass, self.first, self.allowed, self.least = grid, mass, volume, allowed, least
         self.bounds: dict[str, Verdict] = {}
         self.norm, self.floor, self.cancelled = np.inf, 0.0, 0.0
-        self.eroded_volume = self.budget_error = 0.0
+        self.eroded_volume = self.toe_outflow = self.budget_error = 0.0
 
-    def observe(self, t: float, W: np.ndarray, volume: float, growth: float, outflow: float) -> None:
+    def observe(self, t: float, W: np.ndarray, volume: float, growth: float, crest_lowering: float) -> None:
         mass = np.diff(W)
         norm, least = float(np.abs(mass).sum()), float(mass.min() / self.grid.dx)
         # in a cell where q changes its sign the parts of its mass cancel
@@ -35,11 +35,11 @@ class SnapshotBounds:
         self.cancelled = max(self.cancelled, 2.0 * float((np.abs(mass[:-1]) + np.abs(mass[1:]))[turns].sum()))
         if np.isinf(self.norm):
             self.norm, self.floor = norm, min(least, self.least, 0.0)
-        self.eroded_volume = self.first - volume
+        self.eroded_volume, self.toe_outflow = self.first - volume, t + growth
         off = abs(self.eroded_volume - growth)
         self.budget_error = max(self.budget_error, off)
         for name, excess in (
-            ("mass_budget", float(W[-1]) - self.mass + outflow),
+            ("mass_budget", float(W[-1]) - self.mass + crest_lowering),
             ("volume_budget", off),
             ("minimum_principle", max(self.floor - least, 0.0)),
             ("l1_decay", max(norm - self.norm - self.cancelled, 0.0)),

@@ -11,7 +11,7 @@ import numpy as np
 from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid
-from hjprofile.solvers.kernels.journal import GROWTH, OUTFLOW
+from hjprofile.solvers.kernels.journal import CREST_LOWERING, GROWTH
 from hjprofile.solvers.run import Array, Event, KinkRecord, Run, VerticalStep, in_order
 from hjprofile.solvers.snapshot_bounds import SnapshotBounds
 from hjprofile.solvers.stop import Stop, Stopped
@@ -28,7 +28,7 @@ class Solution:
         moment: accuracy of the times of events.
         events: births, merges, exits and blow-ups so far, in any order.
         steps: number of time steps so far.
-        totals: ∫(K_left - 1) dt and ∫F(0) dt so far, by GROWTH and OUTFLOW.
+        totals: ∫(K_left - 1) dt and ∫F(0) dt so far, by GROWTH and CREST_LOWERING.
     """
 
     moment: float
@@ -124,7 +124,7 @@ def walk(
             found.stop = solution.stop(target, lost)
             break
         if judged is None or target in judged:
-            watch.observe(target, W, solution.volume(), solution.totals[GROWTH], solution.totals[OUTFLOW])
+            watch.observe(target, W, solution.volume(), solution.totals[GROWTH], solution.totals[CREST_LOWERING])
         if witness and target in witness.times:
             witness.W.append(solution.read(witness.nodes)[0])
         kinks = solution.kinks() if target < problem.end else solution.finish()
@@ -162,7 +162,8 @@ def assembled(
         vertical_steps=snapshots.vertical_steps,
         bounds=watch.bounds,
         eroded_volume=watch.eroded_volume,
-        outflow=float(solution.totals[OUTFLOW]),
+        toe_outflow=watch.toe_outflow,
+        crest_lowering=float(solution.totals[CREST_LOWERING]),
         volume_budget_error=watch.budget_error,
         units=problem.profile.units,
         account=problem.profile.account,

@@ -95,7 +95,7 @@ class Window:
 
         return brentq(lambda t: float(self.time(np.array(t))) - tau, 0.0, self.last, xtol=1e-15) if tau > 0.0 else 0.0
 
-    def thickness(self, t: Array) -> Array:
+    def K_at_right(self, t: Array) -> Array:
         """K(t, right) = dτ/dt."""
         return self.law.R(self.slope(t)) / self.R0
 
@@ -115,7 +115,7 @@ class Window:
     def run_on_line(self, run: Run) -> Run:
         """The run of `problem` on `half_grid` as one of the whole line, up to when something leaves the window."""
         time = np.array([self.back(t) for t in run.time.tolist()])
-        right, K = self.grid.right, self.thickness(time)
+        right, K = self.grid.right, self.K_at_right(time)
         exits = [self.back(e.time) for e in run.events if e.event == "exit"]
         W, expected = run.u[:, -1] - run.x[-1], self.I - self.law.R(self.slope(time))
         wrong = TAIL * (1.0 + np.abs(self.I))
@@ -135,7 +135,7 @@ class Window:
         if gone:  # what the run summed up on its way goes on beyond what is kept
             until = float(time[good][-1])
             lowered = run.u[good][0] - run.u[good][-1]
-            run = replace(run, eroded_volume=self.grid.integral(lowered), outflow=np.nan)
+            run = replace(run, eroded_volume=self.grid.integral(lowered), toe_outflow=np.nan, crest_lowering=np.nan)
         return replace(
             run,
             case={**run.case, **{name: case[name] for name in ("profile", "domain", "time")}},

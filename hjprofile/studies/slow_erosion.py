@@ -19,33 +19,33 @@ from hjprofile.solvers.solve import solve_with
 
 
 class Departure(NamedTuple):
-    """How far a slope below a layer of that thickness is from the limit, on the same grid.
+    """How far a slope below a layer with that supply flux is from the limit, on the same grid.
 
     Attributes:
-        thickness: ε; 0 for the limit itself.
+        supply_flux: ε; 0 for the limit itself.
         slope_l1, height_sup: ∫|q - q of the limit| dx and sup|u - u of the limit|, the largest of the saved times.
         steps: time steps.
     """
 
-    thickness: float
+    supply_flux: float
     slope_l1: float
     height_sup: float
     steps: int
 
 
-def slow_erosion(problem: Problem, grid: Grid, thicknesses: Sequence[float], cfl: float = 0.9) -> list[Departure]:
-    """Solves [eq2] for each thickness, and [eq1], all with the same flux on the same grid.
+def slow_erosion(problem: Problem, grid: Grid, supply_fluxes: Sequence[float], cfl: float = 0.9) -> list[Departure]:
+    """Solves [eq2] for each supply flux, and [eq1], all with the same flux on the same grid.
 
-    The limit itself comes first, with the thickness 0. Raises RunError if a run stops early.
+    The limit itself comes first, with the supply flux 0. Raises RunError if a run stops early.
     """
     instance("problem", problem, Problem)
     (method,) = (m for m in METHODS.values() if Feature.LAYER in m.supports)
     departures, limit = [], None
-    for thickness in (0.0, *numbers("thickness", thicknesses).tolist()):
-        run = solve_with(method, replace(problem, thickness=thickness), grid, cfl)
+    for supply_flux in (0.0, *numbers("supply_flux", supply_fluxes).tolist()):
+        run = solve_with(method, replace(problem, supply_flux=supply_flux), grid, cfl)
         if not run.done:
-            raise RunError(f"thickness = {thickness:g}: {run.status}")
+            raise RunError(f"supply_flux = {supply_flux:g}: {run.status}")
         limit = limit or run
         slope = grid.dx * float(np.abs(run.q - limit.q).sum(axis=1).max())
-        departures.append(Departure(thickness, slope, float(np.abs(run.u - limit.u).max()), run.steps))
+        departures.append(Departure(supply_flux, slope, float(np.abs(run.u - limit.u).max()), run.steps))
     return departures

@@ -102,7 +102,7 @@ class _Laboratory(FirstOrder):
         # with forward Euler steps all edges but the monotone ones are unstable
         q = self.q + dt * rate(self.q) if self.edges == "monotone" else ssp_rk2(self.q, rate, dt)
         self.growth += dt * (float(self.K[0]) - 1.0)  # by the K that should have been used
-        self.outflow += self.grid.dx * float(np.sum(self.q) - np.sum(q))
+        self.crest_lowering += self.grid.dx * float(np.sum(self.q) - np.sum(q))
         self.q = q
         return bound
 
@@ -290,7 +290,7 @@ def _attempt(
             bound = viscosity * fastest
             dt = number * grid.dx / fastest
             bounds.observe(
-                State(t, taken, first, q, scheme.law.kernel, fastest, bound, dt, scheme.growth, scheme.outflow,
+                State(t, taken, first, q, scheme.law.kernel, fastest, bound, dt, scheme.growth, scheme.crest_lowering,
                       scheme.volume)
             )  # fmt: skip
             grown = float(np.abs(np.diff(q)).sum()) - bounds.variation - bounds.growth_allowed

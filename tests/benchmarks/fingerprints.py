@@ -59,7 +59,7 @@ SCENES = {
     ),
     "coefficient_x": (scene(coefficient={"kind": "expression", "expression": "1.5 + exp(-(x + 5)**2)"}), GRID_METHODS),
     "refresh": (scene(profile=BUMP, solver={"refresh": 0.7}), GRID_METHODS),
-    "layer": (scene(layer={"thickness": 0.05}, profile=BUMP), ["conservative-telescoping"]),
+    "layer": (scene(layer={"supply_flux": 0.05}, profile=BUMP), ["conservative-telescoping"]),
     "whole_line": (
         scene(domain={"left": -12.0, "right": 2.0, "cells": 280, "line": "whole"}),
         [*GRID_METHODS, *EXACT_METHODS],
@@ -135,7 +135,8 @@ def fingerprint(run: hj.Run) -> str:
         digest.update(np.ascontiguousarray(getattr(run, name)).tobytes())
     told = [
         run.method, run.case, run.kinks, run.events, run.vertical_steps, dict(run.bounds), run.status, run.steps,
-        run.step_range, run.eroded_volume, run.outflow, run.volume_budget_error, run.error_estimate, run.cautions,
+        run.step_range, run.eroded_volume, run.crest_lowering, run.volume_budget_error,
+        run.error_estimate, run.cautions,
         re.sub(r"[0-9.e-]+ s$", "", run.account),
     ]  # fmt: skip
     digest.update(repr(told).encode())

@@ -72,7 +72,7 @@ def draw(result):
     from matplotlib.figure import Figure
 
     units = hj.load_case("hillslope").problem.profile.units
-    lost = result.quantity("outflow")[0, 0].T * units.length * units.critical_slope
+    lost = result.quantity("crest_lowering")[0, 0].T * units.length * units.critical_slope
     figure = Figure(figsize=(9.6, 3.6), layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)

@@ -272,7 +272,7 @@ def test_check_passes(folder, call):
     lines = out.splitlines()
     assert lines[0] == "short: passes" and lines[-1] == "written to results/short/check.json"
     kinds = {"bounds", "identity", "independence", "kinks", "budget", "characteristics", "order"}
-    kinds |= {f"saved-{what}" for what in ("times", "q", "K", "kinks", "events", "outflow", "volume")}
+    kinds |= {f"saved-{what}" for what in ("times", "q", "K", "kinks", "events", "crest_lowering", "volume")}
     assert {c["name"].split(":")[0] for c in case["comparisons"]} == kinds
     for c in case["comparisons"]:
         assert c["passes"] is True and len(c["cells"]) == len(c["error"]) > 0

@@ -88,16 +88,16 @@ def test_a_second_order_sweep_is_as_many_single_steps(data, law, factor, levels)
     k = [None] * levels if factor == "nonlocal" else np.broadcast_to(kernel.k, (levels, q.size + 1))
     K = np.exp(dx * np.cumsum(law.f(q)[::-1])[::-1]) if factor == "nonlocal" else kernel.k
     dt = 0.3 * dx / float(max(np.max(K), 1.0) * np.max(law.derivative(q)))
-    swept, plain, grown, outflow = q.copy(), q.copy(), 0.0, 0.0
+    swept, plain, grown, crest_lowering = q.copy(), q.copy(), 0.0, 0.0
     for level in range(levels):
         plain, foot, top = oracles.muscl_hancock(plain, law, dx, dt, kernels.FLOOR_SHARE, k[level])
-        grown, outflow = grown + dt * (foot - 1.0), outflow + dt * top
-    _, found_grown, found_outflow = hancock.hancock_pass(swept, dx, dt, levels, 0.0, table.kernel, kernel)
+        grown, crest_lowering = grown + dt * (foot - 1.0), crest_lowering + dt * top
+    _, found_grown, found_lowering = hancock.hancock_pass(swept, dx, dt, levels, 0.0, table.kernel, kernel)
     # rounding; with a table f to 1e-10 of its size and, in the step to the half time, f' to 1e-6, dt times
     allowed = 1e-11 if law.name == "rational" else 1e-5
     assert np.abs(swept - plain).max() <= allowed * (1.0 + np.abs(plain).max())
     assert found_grown == pytest.approx(grown, rel=allowed, abs=allowed)
-    assert found_outflow == pytest.approx(outflow, rel=allowed, abs=allowed)
+    assert found_lowering == pytest.approx(crest_lowering, rel=allowed, abs=allowed)
 
 
 def test_lanes_beyond_the_levels_do_nothing():
@@ -208,7 +208,7 @@ class Rising:
         self.t, self.taken, self.redone = 0.0, [], 0
         self.W, self.q, self.K = np.zeros(1001), np.zeros(1000), np.ones(1001)
         self.law, self.factor = grid_law(hj.rational(), self.q), Factor(hj.Grid(-1.0, 1000))
-        self.growth = self.outflow = 0.0
+        self.growth = self.crest_lowering = 0.0
 
     def means(self):
         return 0, self.q

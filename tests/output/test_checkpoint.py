@@ -24,7 +24,7 @@ from hjprofile.solvers.solve import solve_case
 
 KEPT = {"solver__refresh": 0.9}  # a factor that is kept across saved times and checkpoints
 PRESCRIBED = {"coefficient__kind": "expression", "coefficient__expression": "exp(-0.2*x)*(1 + 0.1*t)"}
-LAYER = {"erosion__law": "rational", "layer__thickness": 0.1}
+LAYER = {"erosion__law": "rational", "layer__supply_flux": 0.1}
 LINE = {"erosion__law": "rational", "domain__line": "whole", "domain__right": 3.0}
 STEPS = {  # kinks merge, a vertical step begins and leaves at the toe
     "erosion": {"law": "expression", "expression": "q + q/(1+q)", "growth": "linear"},

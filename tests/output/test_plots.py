@@ -259,7 +259,7 @@ def test_characteristics_run_into_the_kinks():
 
 
 def test_what_cannot_be_traced_is_left_out():
-    case = dict(solved("kinks").case) | {"layer": {"thickness": 0.1}}
+    case = dict(solved("kinks").case) | {"layer": {"supply_flux": 0.1}}
     run = dataclasses.replace(solved("kinks"), case=case)
     assert traceable_law(run) is None
     assert "characteristic" not in keys_of(draw_diagram(run))

@@ -170,7 +170,7 @@ def assert_finite(folder):
                     assert key == "event" or unknown or np.isfinite(float(value)), (name, row)
     text = (folder / "summary.json").read_text(encoding="utf-8")
     summary = json.loads(text, parse_constant=lambda word: pytest.fail(f"{word} in summary.json"))
-    for key in ("end", "eroded_volume", "outflow", "wall_seconds"):
+    for key in ("supplied", "eroded_volume", "toe_outflow", "crest_lowering", "wall_seconds"):
         assert np.isfinite(summary[key]), key
 
 

@@ -82,7 +82,7 @@ CALLS |= {
     "Problem.title": lambda v: hj.Problem(LAW, SLOPE, 0.1, title=v),
     "Problem.coefficient": lambda v: hj.Problem(LAW, SLOPE, 0.1, coefficient=v),
     "Problem.line": lambda v: hj.Problem(LAW, SLOPE, 0.1, line=v),
-    "Problem.thickness": lambda v: hj.solve_conservative(problem(thickness=v), GRID, "conservative-telescoping"),
+    "Problem.supply_flux": lambda v: hj.solve_conservative(problem(supply_flux=v), GRID, "conservative-telescoping"),
     "Grid.left": lambda v: solved(problem(), hj.Grid(v, 200)),
     "Grid.left, fronts": lambda v: hj.track_fronts(problem(BUMP), hj.Grid(v, 200), 40),
     "Grid.left, characteristics": lambda v: hj.solve_characteristics(problem(BUMP), hj.Grid(v, 200), 1e-8),
@@ -133,7 +133,7 @@ CALLS |= {
     "chart": lambda v: hj.chart("", v, GRID),
     "chart.grid": lambda v: hj.chart("", problem(), v),
     "slow_erosion": lambda v: hj.slow_erosion(problem(), GRID, v),
-    "slow_erosion, a thickness": lambda v: hj.slow_erosion(problem(), GRID, [v]),
+    "slow_erosion, a supply_flux": lambda v: hj.slow_erosion(problem(), GRID, [v]),
     "sweep": lambda v: hj.sweep(v, {"time.end": [0.1]}),
     "sweep.vary": lambda v: hj.sweep("two_kinks", v),
     "sweep.vary, values": lambda v: hj.sweep("two_kinks", {"time.end": v}),
@@ -179,7 +179,7 @@ def test_every_argument_is_taken_or_refused(name):
 
 TABLES = {
     "erosion": {"law": "power", "m": 2.0},
-    "layer": {"thickness": 0.0},
+    "layer": {"supply_flux": 0.0},
     "domain": {"left": -6.0, "cells": 200},
     "time": {"end": 0.1, "snapshots": 2},
     "solver": {"method": "godunov", "cfl": 0.9, "refresh": 0.05},

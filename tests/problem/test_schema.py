@@ -117,8 +117,8 @@ SEVERAL = {  # changes to VALID -> the beginnings of the sentences
          "[domain] left = 2.0 must be a negative", "[time] snapshots holds 2; times must", "[solver] cfl = 10"],
     ),
     "parts that do not go together": (
-        {"layer": {"thickness": 0.1}, "coefficient": {"kind": "expression", "expression": "-1"}, "domain.left": -2.5},
-        ["[layer] a coefficient and a layer's thickness do not", "[profile] the profile reaches left to x = -3",
+        {"layer": {"supply_flux": 0.1}, "coefficient": {"kind": "expression", "expression": "-1"}, "domain.left": -2.5},
+        ["[layer] a coefficient and a supply flux do not", "[profile] the profile reaches left to x = -3",
          "[coefficient] the coefficient k = -1 at t = 0"],
     ),
     "above all sections": (
@@ -158,7 +158,7 @@ def round_trip(case, folder):
         case.grid, case.method, case.cfl, case.tolerance, case.refresh
     )  # fmt: skip
     same(again.problem, case.problem, case.grid)
-    assert again.problem.thickness == case.problem.thickness and again.problem.line == case.problem.line
+    assert again.problem.supply_flux == case.problem.supply_flux and again.problem.line == case.problem.line
     return table
 
 
@@ -248,7 +248,7 @@ def cases(draw):
         "output": section(vtk=perhaps(st.booleans()), checkpoint=perhaps(st.integers(1, 99))),
     }  # fmt: skip
     if scene == "layer":
-        content["layer"] = {"thickness": draw(numbers(1e-9, 5.0))}
+        content["layer"] = {"supply_flux": draw(numbers(1e-9, 5.0))}
     if scene == "coefficient":
         content["coefficient"] = draw(COEFFICIENT)
     if scene == "whole":

@@ -18,7 +18,7 @@ ASKING = {  # a problem that asks for one feature, its grid, and the refresh int
     Feature.INFLOW: (hj.Problem(hj.rational(), hj.steady(0.3), end=0.1), GRID, None),
     Feature.COEFFICIENT: (hj.Problem(hj.rational(), KINK, end=0.1, coefficient=hj.coefficient("1 - x")), GRID, None),
     Feature.REFRESH: (hj.Problem(hj.rational(), KINK, end=0.1), GRID, 0.05),
-    Feature.LAYER: (hj.Problem(hj.rational(), KINK, end=0.1, thickness=0.1), GRID, None),
+    Feature.LAYER: (hj.Problem(hj.rational(), KINK, end=0.1, supply_flux=0.1), GRID, None),
     Feature.WHOLE_LINE: (hj.Problem(hj.rational(), KINK, end=0.1, line="whole"), WINDOW, None),
     Feature.LINEAR_GROWTH: (hj.Problem(LINEAR, KINK, end=0.1), GRID, None),
 }

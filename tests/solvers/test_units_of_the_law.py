@@ -40,7 +40,7 @@ def test_units_in_powers_of_two_change_no_bit(name, method, ratio):
     for name in ("time", "u", "x", "q", "K"):
         factor = ratio**2 if name == "time" else ratio if name in AS_LENGTHS else 1.0
         np.testing.assert_array_equal(getattr(other, name), factor * getattr(run, name), err_msg=name)
-    assert other.eroded_volume == ratio**2 * run.eroded_volume and other.outflow == ratio * run.outflow
+    assert other.eroded_volume == ratio**2 * run.eroded_volume and other.crest_lowering == ratio * run.crest_lowering
     assert other.error_estimate == (run.error_estimate if run.error_estimate is None else ratio * run.error_estimate)
     assert [k._replace(time=k.time / ratio**2, x=k.x / ratio) for k in other.kinks] == [
         k._replace(speed=k.speed / ratio, rankine_hugoniot_speed=k.rankine_hugoniot_speed / ratio) for k in run.kinks

@@ -183,7 +183,7 @@ def test_what_has_no_place_on_the_line():
     with pytest.raises(hj.InputError, match="allowed are 'half', 'whole'"):
         hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0, line="line")
     with pytest.raises(hj.InputError, match="needs line = 'half'"):
-        hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0, line="whole", thickness=0.1)
+        hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0, line="whole", supply_flux=0.1)
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -29,7 +29,7 @@ def test_sound_solvers_pass():
     checks = check_consistency(*KINK)
     assert all(c.passes for c in checks)
     names = {c.name.split(":")[0] for c in checks}
-    saved = {f"saved-{what}" for what in ("times", "q", "K", "kinks", "events", "outflow", "volume")}
+    saved = {f"saved-{what}" for what in ("times", "q", "K", "kinks", "events", "crest_lowering", "volume")}
     assert names == saved | {
         "bounds", "identity", "independence", "kinks", "budget", "characteristics", "order"
     }  # fmt: skip
@@ -170,8 +170,8 @@ def test_sound_records_of_a_high_order_method_with_a_refresh_interval_pass():
 def test_a_wrong_outflow_is_found():
     problem, grid = LEAVING
     run = hj.solve_hj(problem, grid, "godunov")
-    faulty = replace(run, outflow=1.001 * run.outflow)
-    assert [c.name for c in records(faulty, problem, None, "") if not c.passes] == ["saved-outflow"]
+    faulty = replace(run, crest_lowering=1.001 * run.crest_lowering)
+    assert [c.name for c in records(faulty, problem, None, "") if not c.passes] == ["saved-crest_lowering"]
 
 
 def test_a_K_that_underflows_does_not_hide_faults():

@@ -120,7 +120,7 @@ def test_members_are_the_runs_that_they_say(scene):
         assert (found["end"], found["steps"], found["cells"]) == (1.0, run.steps, 80)
         lowered = run.u[0] - run.u[-1]
         assert found["eroded_volume"] == pytest.approx(np.trapezoid(lowered, run.x), abs=0.02)  # first order in dx
-        assert found["outflow"] == pytest.approx(lowered[-1], abs=1e-8)
+        assert found["crest_lowering"] == pytest.approx(lowered[-1], abs=1e-8)
         # fronts stand for a fan by many small jumps: their u(0) is off by 2e-10
         assert found["largest_lowering"] == pytest.approx(lowered.max(), abs=1e-8)
         assert found["largest_rise"] == pytest.approx(max(-lowered.min(), 0), abs=1e-8)
@@ -137,7 +137,7 @@ def test_the_steady_slope_over_flux_and_end(in_tmp):
     result = hj.sweep(case, {"profile.flux": flux, "time.end": end, "domain.cells": cells})
     sunk, foot = np.multiply.outer(flux, end), flux / (1.0 + 4.0 * flux)  # the second is f at the left end
     exact = {
-        "outflow": (sunk, 1.4e-3),  # and what was measured: 1.16e-3
+        "crest_lowering": (sunk, 1.4e-3),  # and what was measured: 1.16e-3
         "eroded_volume": (4.0 * sunk, 2.2e-3),  # 1.85e-3
         "K_foot": ((1.0 + 4.0 * flux)[:, None], 2.0e-3),  # 1.70e-3
         "q_max": ((flux / (1.0 - flux))[:, None], 5.5e-3),  # 4.65e-3

@@ -120,7 +120,7 @@ def test_the_invariant_is_carried_along():
 def test_only_where_K_and_q_say_how_they_move(tmp_path):
     assert traceable_law(travelling(6)).name == "rational"
     layer = hj.load_case("thin_layer", {"time.end": 0.0}).problem
-    assert layer.thickness and traceable_law(resolved(layer)) is None
+    assert layer.supply_flux and traceable_law(resolved(layer)) is None
     assert traceable_law(resolved(hj.load_case("user_law", {"time.end": 0.0}).problem)) is None
 
 

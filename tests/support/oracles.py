@@ -178,22 +178,22 @@ def means_of_samples(x, q, nodes):
     return np.diff(W) / np.diff(nodes)
 
 
-def resolved_layer(q, left, thickness, end):
+def resolved_layer(q, left, supply_flux, end):
     """Cell means of q and of h below a rolling layer, in the paper's own variables and its own, fast time [eq2].
 
-    h_t - (h p)_x = (p-1) h, p_t + ((p-1) h)_x = 0, h p = thickness at x = 0, no layer at first; upwind with limited
+    h_t - (h p)_x = (p-1) h, p_t + ((p-1) h)_x = 0, h p = supply_flux at x = 0, no layer at first; upwind with limited
     linear reconstruction (minmod), the source by cell means, Heun's steps that resolve the layer's fast time.
     """
     n = q.size
-    dx, t, last = -left / n, 0.0, end / thickness
+    dx, t, last = -left / n, 0.0, end / supply_flux
 
     def limited(v, before, after):
         back, ahead = np.diff(v, prepend=before), np.diff(v, append=after)
         return 0.5 * np.where(back * ahead > 0, np.sign(back) * np.minimum(np.abs(back), np.abs(ahead)), 0.0)
 
     def rates(h, p):
-        half_h, half_p = limited(h, h[0], thickness / p[-1]), limited(p, p[0], p[-1])
-        grains = np.append((h - half_h) * (p - half_p), thickness)  # run to the left
+        half_h, half_p = limited(h, h[0], supply_flux / p[-1]), limited(p, p[0], p[-1])
+        grains = np.append((h - half_h) * (p - half_p), supply_flux)  # run to the left
         eroded = np.append(0.0, (h + half_h) * (p + half_p - 1))  # slopes run to the right
         return np.diff(grains) / dx + (p - 1) * h, -np.diff(eroded) / dx
 

@@ -170,7 +170,7 @@ def random_content(rng):
     content["time"] = {"end": end, "snapshots": rng.choice([1, 2, rng.randint(1, 50), times])}
     content["solver"] = {"method": rng.choice(named()), "cfl": rng.choice([0.9, 1.0, rng.uniform(0.01, 5.0)])}
     if rng.random() < 0.1:
-        content["layer"] = {"thickness": 10.0 ** rng.uniform(-4, 1)}
+        content["layer"] = {"supply_flux": 10.0 ** rng.uniform(-4, 1)}
         content["erosion"], content["solver"]["method"] = {"law": "rational"}, "conservative-telescoping"
     if rng.random() < 0.3:
         content["solver"]["tolerance"] = 10.0 ** rng.uniform(-15, 1)

@@ -60,7 +60,7 @@ class BoundsMonitor:
     """Records the worst margin of each bound that a method promises, with its time and place.
 
     With q(0) the data, q⁺ and q⁻ their positive and negative parts:
-    mass_budget: ∫q changes by inflow - outflow.
+    mass_budget: ∫q changes by the inflow less the lowering of the crest.
     volume_budget: the eroded volume is ∫(K(left) - 1) dt (§6g): to rounding where the flux telescopes, else within
         dx ∫∫ (K f² + max(K f') |q_x|) dx dt, the first-order difference between Σ F dx and K(left) - 1.
     minimum_principle: q >= min(inf q(0), 0).
@@ -86,7 +86,7 @@ class BoundsMonitor:
     FROZEN_STEPS = 16384
     memory: tuple[str, ...] = (
         "worst", "t", "looked", "froze", "rate", "budget_error", "budget_allowance", "norm", "growth_allowed",
-        "eroded_volume", "outflow", "swell", "first_volume", "flux_seen",
+        "eroded_volume", "toe_outflow", "crest_lowering", "swell", "first_volume", "flux_seen",
     )  # fmt: skip
 
     def __init__(
@@ -114,11 +114,11 @@ class BoundsMonitor:
         if not inflow:
             with np.errstate(all="ignore"):
                 self.highest = float(np.max(law.R(q) + np.maximum(W[1:], W[:-1]) - W[0])) + minus - self.R0
-            self.thickest = float(law.derivative(0.0)) * plus
-            self.thinnest = float(law.derivative(self.floor)) * minus
+            self.ln_K_bound_above = float(law.derivative(0.0)) * plus
+            self.ln_K_bound_below = float(law.derivative(self.floor)) * minus
         self.worst = np.tile([np.inf, np.nan, np.nan], (len(self.promises), 1))  # margin, time, x
         self.first_volume = np.nan
-        self.eroded_volume = self.outflow = self.budget_allowance = 0.0
+        self.eroded_volume = self.toe_outflow = self.crest_lowering = self.budget_allowance = 0.0
         self.budget_error = 0.0 if coefficient is None else np.nan
         # sup|F| and TV(F) when they were last seen
         self.lasting = flux if flux and flux.lasting and coefficient is not None and coefficient.steady else None
@@ -134,7 +134,7 @@ class BoundsMonitor:
         """Raises Halt, see above."""
         q, dx, t, grid = state.q, self.grid.dx, state.t, self.grid
         ln_K = self.ln_K[: q.size + 1]
-        mass, norm, least, most, variation, thinnest, thickest, settled, swell = watch.survey(q, dx, state.law, ln_K)
+        mass, norm, least, most, variation, ln_K_min, ln_K_max, settled, swell = watch.survey(q, dx, state.law, ln_K)
         variation += 0.0 if self.inflow else abs(float(q[0]))  # the slope is critical left of the cells that are given
         rate = dx * (settled + state.speed * variation)
         if np.isnan(self.first_volume):
@@ -146,10 +146,10 @@ class BoundsMonitor:
             self.growth_allowed += (t - self.t) * max(self.swell, swell) * across
         self.t, self.rate, self.swell, self.looked = t, rate, swell, state.steps
 
-        rounding = ROUNDING * (self.scale + state.outflow + self.inflow * t)
+        rounding = ROUNDING * (self.scale + state.crest_lowering + self.inflow * t)
         smear = dx * variation
-        self.outflow = state.outflow
-        self._record("mass_budget", rounding, mass - self.mass + state.outflow - self.inflow * t)
+        self.crest_lowering, self.toe_outflow = state.crest_lowering, t + state.growth
+        self._record("mass_budget", rounding, mass - self.mass + state.crest_lowering - self.inflow * t)
         self.eroded_volume = self.first_volume - state.volume()
         off = abs(self.eroded_volume - state.growth)
         self.budget_error = max(self.budget_error, off)
@@ -168,11 +168,12 @@ class BoundsMonitor:
         self._record("l1_decay", rounding, norm - self.norm, smear)
         self.norm = min(norm, self.norm)
         self._record(
-            "factor_bounds", self.thickest + rounding, thickest, smear, lambda: place(int(np.argmax(ln_K[:-1])))
+            "factor_bounds", self.ln_K_bound_above + rounding, ln_K_max, smear, lambda: place(int(np.argmax(ln_K[:-1])))
         )
         self._record(
-            "factor_bounds", self.thinnest + rounding, -thinnest, smear, lambda: place(int(np.argmin(ln_K[:-1])))
-        )
+            "factor_bounds", self.ln_K_bound_below + rounding, -ln_K_min, smear,
+            lambda: place(int(np.argmin(ln_K[:-1]))),
+        )  # fmt: skip
         above = float(self.law.R(most)) - self.R0
         self._record("upper_bound", self.highest + rounding, above, smear, lambda: place(int(np.argmax(q))))
         grown = variation - self.variation
@@ -188,10 +189,10 @@ class BoundsMonitor:
             self.flux_seen = float(np.abs(F).max()), float(np.abs(np.diff(F)).sum())
         return self._judge(state)
 
-    def _compare(self, F: Array, most: float, variation: float, thickest: float) -> None:
+    def _compare(self, F: Array, most: float, variation: float, ln_K_max: float) -> None:
         """sup|F| and TV(F) with what they were before."""
         # rounding of F, and of the differences of K that telescoping fluxes divide by dx
-        rounding = ROUNDING * float(np.abs(F).max()) + 1e-15 * thickest / self.grid.dx
+        rounding = ROUNDING * float(np.abs(F).max()) + 1e-15 * ln_K_max / self.grid.dx
         self._record("flux_maximum", rounding, float(np.abs(F).max()) - most)
         varied = float(np.abs(np.diff(F)).sum())
         self._record("flux_variation", F.size * rounding + ROUNDING * varied, varied - variation)

@@ -38,8 +38,8 @@ def local_lax_friedrichs(law: GridLaw, dx: float, ql: Array, qr: Array, K: Array
     """The twin of `wavefront.LocalLaxFriedrichs`."""
     left, right = law.derivative(ql), law.derivative(qr)
     viscosity = K[1:] * np.maximum(left, right)
-    thickest = np.maximum(np.maximum(K[1:], K[:-1]), np.append(K[2:], K[-1]))  # of neighbouring nodes
-    speed = thickest * (np.maximum(left, right) + np.maximum(right - left, 0.0) / 2)
+    K_max = np.maximum(np.maximum(K[1:], K[:-1]), np.append(K[2:], K[-1]))  # of neighbouring nodes
+    speed = K_max * (np.maximum(left, right) + np.maximum(right - left, 0.0) / 2)
     return K[1:] * law.f((ql + qr) / 2) - viscosity / 2 * (qr - ql), speed
 
 
@@ -63,7 +63,7 @@ def telescoping(law: GridLaw, dx: float, ql: Array, qr: Array, K: Array, bound: 
 class FirstOrder(Restorable):
     """Forward Euler with a numerical flux, in plain numpy."""
 
-    memory: tuple[str, ...] = ("q", "W_left", "growth", "outflow")
+    memory: tuple[str, ...] = ("q", "W_left", "growth", "crest_lowering")
 
     def __init__(
         self, law: GridLaw, grid: Grid, q: Array, W_left: float, inflow: float, flux: Flux,
@@ -74,7 +74,7 @@ class FirstOrder(Restorable):
         self.cfl_limit = flux.cfl_limit
         self.q, self.W_left = q.copy(), W_left
         self.K = np.ones(grid.cells + 1)
-        self.growth = self.outflow = 0.0
+        self.growth = self.crest_lowering = 0.0
 
     @property
     def W(self) -> Array:
@@ -113,7 +113,7 @@ class FirstOrder(Restorable):
             self.q = self.q - dt / dx * np.diff(F, prepend=self.inflow)
             self.W_left -= dt * self.inflow
             self.growth += dt * (float(K[0]) - 1.0)
-            self.outflow += dt * float(F[-1])
+            self.crest_lowering += dt * float(F[-1])
         return fastest
 
     def volume(self) -> float:
@@ -127,14 +127,14 @@ class SecondOrder:
     """
 
     cfl_limit = 1.0
-    memory: tuple[str, ...] = ("q", "W_left", "active", "growth", "outflow")
+    memory: tuple[str, ...] = ("q", "W_left", "active", "growth", "crest_lowering")
 
     def __init__(self, law: GridLaw, grid: Grid, q: Array, W_left: float, inflow: float, factor: Factor | None = None):
         self.law, self.grid, self.inflow = law, grid, inflow
         self.factor = factor or Factor(grid)
         self.q, self.before, self.W_left = q.copy(), q.copy(), W_left
         self.K = np.ones(grid.cells + 1)
-        self.growth = self.outflow = 0.0
+        self.growth = self.crest_lowering = 0.0
         self.active = kernels.flat_ends(self.q, 0, grid.cells - 1, 0.0, 0.0)  # the first and last q /= 0
 
     @property
@@ -151,21 +151,21 @@ class SecondOrder:
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
         a, b = max(self.active[0] - steps - 3, 0), min(self.active[1] + steps + 4, self.grid.cells)
-        self.kept = a, b, self.active, self.W_left, self.growth, self.outflow
+        self.kept = a, b, self.active, self.W_left, self.growth, self.crest_lowering
         self.before[a:b] = self.q[a:b]
         inflow = self.inflow if a == 0 else 0.0
         factor, idle = self.factor.window(self.law, dt * (np.arange(steps) + 0.5), a, b)
-        speed, grown, outflow = hancock.hancock_pass(
+        speed, grown, crest_lowering = hancock.hancock_pass(
             self.q[a:b], self.grid.dx, dt, steps, inflow, self.law.kernel, factor
         )
         self.W_left -= dt * steps * inflow
         self.growth += grown
-        self.outflow += outflow
+        self.crest_lowering += crest_lowering
         self.active = kernels.flat_ends(self.q, a, b - 1, 0.0, 0.0)
         return max(float(speed), idle)
 
     def restore(self) -> None:
-        a, b, self.active, self.W_left, self.growth, self.outflow = self.kept
+        a, b, self.active, self.W_left, self.growth, self.crest_lowering = self.kept
         self.q[a:b] = self.before[a:b]
 
     def volume(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 
 from hjprofile.problem import Problem
@@ -52,7 +53,8 @@ def solve_on_grid(
         events=events,
         bounds=bounds.bounds,
         eroded_volume=bounds.eroded_volume,
-        outflow=bounds.outflow,
+        toe_outflow=math.nan if problem.coefficient else bounds.toe_outflow,
+        crest_lowering=bounds.crest_lowering,
         volume_budget_error=bounds.budget_error,
         units=problem.profile.units,
         account=problem.profile.account,

@@ -22,7 +22,7 @@ from hjprofile.solvers.run import Array
 class HamiltonJacobi:
     """A first-order scheme for W = u - x with a numerical flux and forward Euler steps, many of them in one sweep."""
 
-    memory: tuple[str, ...] = ("W", "active", "growth", "outflow")
+    memory: tuple[str, ...] = ("W", "active", "growth", "crest_lowering")
 
     def __init__(
         self, law: GridLaw, grid: Grid, W: Array, flux: Flux, inflow: float = 0.0, factor: Factor | None = None
@@ -32,7 +32,7 @@ class HamiltonJacobi:
         self.factor = factor or Factor(grid)
         self.W, self.before = W.copy(), W.copy()
         self.q, self.K = np.empty(grid.cells), np.ones(grid.cells + 1)
-        self.growth = self.outflow = 0.0
+        self.growth = self.crest_lowering = 0.0
         # the first and the last node where W is not what it is at that end
         self.active = kernels.flat_ends(self.W, 0, grid.cells, W[0], W[-1])
 
@@ -49,7 +49,7 @@ class HamiltonJacobi:
     def advance(self, dt: float, steps: int, bound: float) -> float:
         n = self.grid.cells
         a, b = max(self.active[0] - steps - 2, 0), min(self.active[1] + steps + 2, n)
-        self.kept = a, b, self.active, self.growth, self.outflow
+        self.kept = a, b, self.active, self.growth, self.crest_lowering
         W = self.W[a : b + 1]
         self.before[a : b + 1] = W
         inflow = self.inflow if a == 0 else 0.0
@@ -58,12 +58,12 @@ class HamiltonJacobi:
             W, self.grid.dx, dt, steps, inflow, self.law.kernel, self.flux.kernel(bound), factor
         )
         self.growth += grown
-        self.outflow += float(self.before[b] - W[-1])
+        self.crest_lowering += float(self.before[b] - W[-1])
         self.active = kernels.flat_ends(self.W, a, b, self.W[0], self.W[-1])
         return max(float(speed), idle)
 
     def restore(self) -> None:
-        a, b, self.active, self.growth, self.outflow = self.kept
+        a, b, self.active, self.growth, self.crest_lowering = self.kept
         self.W[a : b + 1] = self.before[a : b + 1]
 
     def volume(self) -> float:

@@ -64,7 +64,7 @@ ORDERS: Mapping[str, Order] = MappingProxyType(
 class HighOrder(Restorable):
     """A scheme of the method of lines on the part of the grid where anything happens."""
 
-    memory: tuple[str, ...] = ("state", "active", "growth", "outflow")
+    memory: tuple[str, ...] = ("state", "active", "growth", "crest_lowering")
 
     def __init__(self, law: GridLaw, grid: Grid, state: Array, order: str, inflow: float, factor: Factor | None = None):
         self.law, self.grid, self.order, self.inflow = law, grid, ORDERS[order], inflow
@@ -72,7 +72,7 @@ class HighOrder(Restorable):
         self.cfl_limit = self.order.cfl_limit
         self.state = state.copy()
         self.q, self.K = np.empty(grid.cells), np.ones(grid.cells + 1)
-        self.growth = self.outflow = 0.0
+        self.growth = self.crest_lowering = 0.0
         self.active = self._flat_ends(0, self.state.size - 1)
 
     def _means(self, state: Array) -> Array:
@@ -151,9 +151,9 @@ class HighOrder(Restorable):
 
         part = slice(a, b + nodes)
         # the last is time, which thereby is at every stage what it is to be
-        y = self.order.step(np.concatenate([self.state[part], [self.growth, self.outflow, 0.0]]), rate, dt)
+        y = self.order.step(np.concatenate([self.state[part], [self.growth, self.crest_lowering, 0.0]]), rate, dt)
         self.state[part] = y[:-3]
-        self.growth, self.outflow = float(y[-3]), float(y[-2])
+        self.growth, self.crest_lowering = float(y[-3]), float(y[-2])
         self.active = self._flat_ends(a, b + nodes - 1)
         return speeds[0]
 

@@ -269,7 +269,7 @@ class March:
         K = self.factor.given(nodes=slice(first, first + q.size + 1))
         return State(
             t, steps, first, q, scheme.law.kernel, speed, self.batch.bound, self.batch.dt, scheme.growth,
-            scheme.outflow, scheme.volume, None if K is None else K[0],
+            scheme.crest_lowering, scheme.volume, None if K is None else K[0],
         )  # fmt: skip
 
     def _show(self, state: State, every: bool) -> None:

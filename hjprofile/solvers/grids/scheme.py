@@ -26,7 +26,7 @@ class Scheme(Protocol):
     q: Array
     K: Array
     growth: float
-    outflow: float
+    crest_lowering: float
     memory: tuple[str, ...]
     cfl_limit: float  # Δt max(K f')/Δx at which the scheme is still monotone (limited: total variation diminishing)
 

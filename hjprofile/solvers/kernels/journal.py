@@ -9,7 +9,7 @@ from hjprofile.solvers.kernels import compiled
 # Kinds of events, and their names: a blow-up is a kink's, at which it becomes a vertical step
 BIRTH, MERGE, EXIT, BLOW_UP = range(4)
 EVENTS = ("birth", "merge", "exit", "blow-up")
-GROWTH, OUTFLOW = 0, 1  # entries of `totals`
+GROWTH, CREST_LOWERING = 0, 1  # entries of `totals`
 STEPS, HIGHEST_LABEL, LOGGED = range(3)  # entries of `counts`
 
 
@@ -21,7 +21,7 @@ class Journal(NamedTuple):
 
     Attributes:
         log: rows (t, kind of event, kink, into, x); `into` is the kink that lives on after a merge, otherwise 0.
-        totals: ∫(K_left - 1) dt and ∫F(0) dt, by GROWTH and OUTFLOW.
+        totals: ∫(K_left - 1) dt and ∫F(0) dt, by GROWTH and CREST_LOWERING.
         counts: integers: the time steps, the highest label and the rows logged, by STEPS, HIGHEST_LABEL and LOGGED.
     """
 

@@ -20,13 +20,13 @@ class WithLayer(FirstOrder):
     `growth` counts the grains that the layer holds as well: then the volume budget is the conservation of grains.
     """
 
-    memory: tuple[str, ...] = ("q", "H", "K", "W_left", "growth", "outflow")
+    memory: tuple[str, ...] = ("q", "H", "K", "W_left", "growth", "crest_lowering")
 
     def __init__(
-        self, law: GridLaw, grid: Grid, q: Array, W_left: float, inflow: float, flux: Flux, thickness: float
+        self, law: GridLaw, grid: Grid, q: Array, W_left: float, inflow: float, flux: Flux, supply_flux: float
     ):  # fmt: skip
         super().__init__(law, grid, q, W_left, inflow, flux)
-        self.thickness = thickness
+        self.supply_flux = supply_flux
         self.H, self.F = np.zeros(grid.cells), np.empty(grid.cells)
         self.K[:-1] = 0.0
 
@@ -43,10 +43,10 @@ class WithLayer(FirstOrder):
         self.keep()
         self.q, self.H, self.K = self.q.copy(), self.H.copy(), self.K.copy()
         taken = steps if dt > 0.0 else 0
-        speed, grown, outflow = layer_pass(
-            self.q, self.H, self.K, self.F, self.grid.dx, dt, taken, bound, self.thickness, self.inflow
+        speed, grown, crest_lowering = layer_pass(
+            self.q, self.H, self.K, self.F, self.grid.dx, dt, taken, bound, self.supply_flux, self.inflow
         )
         self.W_left -= dt * steps * self.inflow
         self.growth += grown
-        self.outflow += outflow
+        self.crest_lowering += crest_lowering
         return float(speed)

@@ -66,7 +66,7 @@ class SecondOrderTelescoping(FirstOrder):
                 fastest = max(fastest, speed)
                 q = self.q + dt * dq[0]
                 self.growth += 0.5 * dt * (K_left - 1.0)
-                self.outflow += 0.5 * dt * F_top
+                self.crest_lowering += 0.5 * dt * F_top
             self.q = 0.5 * (self.q + (q + dt * dq[1]))
             self.W_left -= dt * self.inflow
         return fastest

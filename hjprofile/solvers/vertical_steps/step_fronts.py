@@ -14,7 +14,7 @@ from numpy.polynomial import polynomial as P
 from hjprofile.problem.erosion import Array, ErosionLaw
 from hjprofile.solvers.fronts.front_data import FrontData, Pieces
 from hjprofile.solvers.fronts.tracker import Tracker
-from hjprofile.solvers.kernels.journal import BLOW_UP, EXIT, MERGE, OUTFLOW, STEPS, note
+from hjprofile.solvers.kernels.journal import BLOW_UP, CREST_LOWERING, EXIT, MERGE, STEPS, note
 from hjprofile.solvers.run import VerticalStep
 from hjprofile.solvers.vertical_steps.kernels import steps as kernels
 from hjprofile.solvers.vertical_steps.kernels.step_motion import StepControl, StepWorkspace, advance
@@ -196,7 +196,7 @@ class StepTracker(Tracker):
         if occurred[1]:
             self.n -= 1
             if self.is_step[n - 1]:
-                self.totals[OUTFLOW] += sides.height[n - 1]
+                self.totals[CREST_LOWERING] += sides.height[n - 1]
             note(self.journal, self.t, EXIT, self.label[n - 1], 0, 0.0)
         elif occurred[0]:
             j = int(np.argmin(np.diff(self.x[:n])))

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.solvers.fronts.kernels.front_merging import merge, note_events
-from hjprofile.solvers.fronts.kernels.front_state import outflow_at, speeds, sweep
+from hjprofile.solvers.fronts.kernels.front_state import crest_flux, speeds, sweep
 from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.dormand_prince import STAGES, Tableau, state_at, step_error
-from hjprofile.solvers.kernels.journal import GROWTH, OUTFLOW, STEPS
+from hjprofile.solvers.kernels.journal import CREST_LOWERING, GROWTH, STEPS
 
 TOGETHER = 1e-13  # fronts no further apart are at one place
 AT_END = 1e-11  # ... and at the end of an integration, where rounding can put an event just behind it
@@ -41,7 +41,7 @@ def rates_of(y, jump, n, medium, sides, rate):
     """
     speeds(y, jump, n, n - 1, medium, sides, rate)
     rate[n] = sides.K[0] - 1.0
-    rate[n + 1] = outflow_at(y, n - 1, sides.r_right, medium.law)
+    rate[n + 1] = crest_flux(y, n - 1, sides.r_right, medium.law)
 
 
 @compiled
@@ -155,7 +155,7 @@ def advance_exactly(fronts, n, t, end, control, medium, work, journal):
 
         y, new = work.trial[: n + 2], work.new[: n + 2]
         y[:n] = x[:n]
-        y[n], y[n + 1] = totals[GROWTH], totals[OUTFLOW]
+        y[n], y[n + 1] = totals[GROWTH], totals[CREST_LOWERING]
         dt = min(dt, end - t)
         while True:
             step(y, rates, dt, jump, n, medium, sides, tableau, new)
@@ -177,7 +177,7 @@ def advance_exactly(fronts, n, t, end, control, medium, work, journal):
             return n, False
         t = end if used == end - t else t + used
         x[:n] = new[:n]
-        totals[GROWTH], totals[OUTFLOW] = new[n], new[n + 1]
+        totals[GROWTH], totals[CREST_LOWERING] = new[n], new[n + 1]
         journal.counts[STEPS] += 1
         dt *= min(2.0, 0.9 * error**-0.125) if error > 0.0 else 2.0
     return n, True

@@ -112,6 +112,6 @@ def speeds(x, jump, n, top, medium, sides, speed):
 
 
 @compiled
-def outflow_at(x, top, r_right, law):
+def crest_flux(x, top, r_right, law):
     """F = f(q) at x = 0, right of front `top`."""
     return law_q_f(law_decay(r_right[top], -x[top], law), law)[1]

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.solvers.fronts.kernels.front_merging import Stack, merge, note_events
-from hjprofile.solvers.fronts.kernels.front_state import Sides, outflow_at, speeds, top_front
+from hjprofile.solvers.fronts.kernels.front_state import Sides, crest_flux, speeds, top_front
 from hjprofile.solvers.kernels import compiled
-from hjprofile.solvers.kernels.journal import GROWTH, OUTFLOW, STEPS
+from hjprofile.solvers.kernels.journal import CREST_LOWERING, GROWTH, STEPS
 from hjprofile.solvers.kernels.law import law_q_f
 
 STEP_FLOOR = 1e-7  # of the way to a saved time: more steps than it allows, of 0.3 ms each, would take an hour, ...
@@ -69,7 +69,7 @@ def advance(fronts, n, t, end, control, medium, work, journal):
     while t < end and n > 0:
         if not fresh:
             speeds(x, jump, n, top_front(x, n), medium, sides, rate[0])
-        start = sides.K[0] - 1.0, outflow_at(x, top_front(x, n), sides.r_right, law)
+        start = sides.K[0] - 1.0, crest_flux(x, top_front(x, n), sides.r_right, law)
         most_eroded = fit_folds(n, control, law, work)
         while True:
             dt = control.step[0]
@@ -81,7 +81,7 @@ def advance(fronts, n, t, end, control, medium, work, journal):
                 dt = end - t
             elif 2.0 * dt > end - t:
                 dt = 0.5 * (end - t)
-            growth, outflow = runge_kutta(x, jump, n, dt, start, medium, work)
+            growth, crest_lowering = runge_kutta(x, jump, n, dt, start, medium, work)
             error = motion_error(jump, n, rate[3], rate[4]) * dt / 6.0
             error += crossing_error(new, jump, n, sides, work.eroded, law) * CROSSED / r0**2 * dt
             error += exit_error(new, rate[0], n, sides, law) * most_eroded * r0 * dt * dt
@@ -90,7 +90,7 @@ def advance(fronts, n, t, end, control, medium, work, journal):
         for j in range(n):
             x[j], rate[0, j] = new[j], rate[4, j]
         journal.totals[GROWTH] += dt / 6.0 * growth
-        journal.totals[OUTFLOW] += dt / 6.0 * outflow
+        journal.totals[CREST_LOWERING] += dt / 6.0 * crest_lowering
         journal.counts[STEPS] += 1
         t = end if dt == end - t else t + dt
         before = n
@@ -120,7 +120,7 @@ def runge_kutta(x, jump, n, dt, start, medium, work):
     `start` holds these two at x, and rate[0] the speeds there. The sides are afterwards those of the end of the step.
     """
     sides, rate, trial, new = work.sides, work.rate, work.trial, work.new
-    growth, outflow = start
+    growth, crest_lowering = start
     for stage in range(1, 4):
         part = dt if stage == 3 else 0.5 * dt
         for j in range(n):
@@ -128,11 +128,11 @@ def runge_kutta(x, jump, n, dt, start, medium, work):
         speeds(trial, jump, n, top_front(trial, n), medium, sides, rate[stage])
         weight = 1.0 if stage == 3 else 2.0
         growth += weight * (sides.K[0] - 1.0)
-        outflow += weight * outflow_at(trial, top_front(trial, n), sides.r_right, medium.law)
+        crest_lowering += weight * crest_flux(trial, top_front(trial, n), sides.r_right, medium.law)
     for j in range(n):
         new[j] = x[j] + dt / 6.0 * (rate[0, j] + 2.0 * (rate[1, j] + rate[2, j]) + rate[3, j])
     speeds(new, jump, n, top_front(new, n), medium, sides, rate[4])
-    return growth, outflow
+    return growth, crest_lowering
 
 
 @compiled

@@ -54,7 +54,7 @@ def hancock_pass(q, dx, dt, levels, inflow, law, factor):
     f, df, f_edge, df_edge, p = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
     k_left = np.ones(LANES)
     here[LANES - 1] = q[n - 1]
-    grown = outflow = speed_met = 0.0
+    grown = crest_lowering = speed_met = 0.0
     for step in range(n + 3 * levels - 2):
         row[LANES] = q[max(n - step - 2, 0)]
         start = LANES - 1 - step // 3
@@ -103,10 +103,10 @@ def hancock_pass(q, dx, dt, levels, inflow, law, factor):
             K[l] = factor_at(K[l], factor, k_left[l])
             ahead[l], here[l] = here[l], left
         if starts:
-            outflow += dt * flux[start]
+            crest_lowering += dt * flux[start]
         if finishes:
             row[beyond] = value
         done = n - step + 3 * (levels - 1)
         if done < n:
             q[done] = row[last]
-    return speed_met, grown, outflow
+    return speed_met, grown, crest_lowering

@@ -18,7 +18,7 @@ def survey(q, dx, law, ln_K):
     value, row, f, df, swell = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
     total, size, least, most = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
     settled, rises, swells = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
-    exponents, factors, thinnest, thickest = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+    exponents, factors, ln_K_min, ln_K_max = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
     ln_K[n] = exponent = 0.0
     K = 1.0
     beside, swell_beside, first = q[n - 1], 0.0, True
@@ -52,8 +52,8 @@ def survey(q, dx, law, ln_K):
         for l in range(LANES):
             swell[l] *= row[l] * row[l]
             settled[l] += swell[l]
-            thinnest[l] = min(thinnest[l], exponents[l])
-            thickest[l] = max(thickest[l], exponents[l])
+            ln_K_min[l] = min(ln_K_min[l], exponents[l])
+            ln_K_max[l] = max(ln_K_max[l], exponents[l])
         if first:
             first, swell_beside = False, swell[0]
         rises[0] += abs(value[0] - beside)
@@ -66,7 +66,7 @@ def survey(q, dx, law, ln_K):
             swells[width] -= swell[width - 1]
         beside, swell_beside = value[width - 1], swell[width - 1]
     return (
-        dx * total.sum(), dx * size.sum(), least.min(), most.max(), rises.sum(), thinnest.min(), thickest.max(),
+        dx * total.sum(), dx * size.sum(), least.min(), most.max(), rises.sum(), ln_K_min.min(), ln_K_max.max(),
         settled.sum() / dx, swells.sum() / (dx * dx),
     )  # fmt: skip
 

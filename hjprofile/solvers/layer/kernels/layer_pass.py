@@ -9,8 +9,8 @@ from hjprofile.solvers.kernels import compiled
 
 
 @compiled
-def layer_pass(q, H, m, F, dx, dt, steps, bound, thickness, inflow):
-    """`steps` steps of q and of H, the layer's thickness in units of the poured flux ε = `thickness`, in place.
+def layer_pass(q, H, m, F, dx, dt, steps, bound, supply_flux, inflow):
+    """`steps` steps of q and of H, the thickness of the layer in units of the poured flux ε = `supply_flux`, in place.
 
     With them m, the flux of grains at the nodes in the last step, in units of ε.
 
@@ -26,8 +26,8 @@ def layer_pass(q, H, m, F, dx, dt, steps, bound, thickness, inflow):
     was more than `bound` no other is taken: grains that arrive can make it several times what it was.
     """
     n = q.size
-    speed = growth = outflow = 0.0
-    held = thickness * dx
+    speed = growth = crest_lowering = 0.0
+    held = supply_flux * dx
     for _ in range(steps):
         if speed > bound:
             break
@@ -35,7 +35,7 @@ def layer_pass(q, H, m, F, dx, dt, steps, bound, thickness, inflow):
         for i in range(n - 1, -1, -1):
             p = 1.0 + q[i]
             if not p > 0.0:
-                return np.inf, growth, outflow
+                return np.inf, growth, crest_lowering
             z = q[i] / p * dx
             w = max(z, -1.0)
             g = 1.0 + w + 0.5 * w * w
@@ -50,5 +50,5 @@ def layer_pass(q, H, m, F, dx, dt, steps, bound, thickness, inflow):
         for i in range(n):
             q[i] -= dt / dx * (F[i] - before)
             before = F[i]
-        outflow += dt * before
-    return speed, growth, outflow
+        crest_lowering += dt * before
+    return speed, growth, crest_lowering

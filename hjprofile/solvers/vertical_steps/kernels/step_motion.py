@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.solvers.kernels import compiled
-from hjprofile.solvers.kernels.journal import GROWTH, OUTFLOW, STEPS
+from hjprofile.solvers.kernels.journal import CREST_LOWERING, GROWTH, STEPS
 from hjprofile.solvers.vertical_steps.kernels.step_merging import merge
 from hjprofile.solvers.vertical_steps.kernels.step_transitions import transitions
 from hjprofile.solvers.vertical_steps.kernels.steps import at, flows, moved, r_of, sweep, v_of, y_of
@@ -72,7 +72,7 @@ def runge_kutta(fronts, n, dt, law, sides, work):
     x, y, jump, is_step, k, d = fronts.x, fronts.y, fronts.jump, fronts.is_step, sides.speed, sides.drift
     v_right, r_right, K = sides.v_right, sides.r_right, sides.K
     xs, ys, dx, dy, y_right, shift = work.x, work.y, work.dx, work.dy, work.y_right, work.shift
-    growth = outflow = steepest = 0.0
+    growth = crest_lowering = steepest = 0.0
     for j in range(n):
         dx[j] = dy[j] = shift[j] = 0.0
         y_right[j] = y_of(v_right[j], law)
@@ -88,7 +88,7 @@ def runge_kutta(fronts, n, dt, law, sides, work):
         weight = dt / 3.0 if stage in (1, 2) else dt / 6.0
         at_left, at_top = flows(xs if stage else x, top, sides, law)
         growth += weight * at_left
-        outflow += weight * at_top
+        crest_lowering += weight * at_top
         steepest = max(steepest, at_top)
         for j in range(n):
             dx[j] += weight * k[j]
@@ -99,10 +99,10 @@ def runge_kutta(fronts, n, dt, law, sides, work):
         xs[j] = x[j] + dx[j]
     if dt * steepest > STEEP:  # F is without bound, but dR/dt = F at x = 0, and W is continuous at the fronts that left
         top = top_front_or_step(xs, is_step, n)
-        outflow = r_of(v_of(moved(y_right[top], -xs[top], law), law), law) - r_top
+        crest_lowering = r_of(v_of(moved(y_right[top], -xs[top], law), law), law) - r_top
         for j in range(top + 1, first_top + 1):
-            outflow += jump[j]
-    return growth, outflow
+            crest_lowering += jump[j]
+    return growth, crest_lowering
 
 
 @compiled
@@ -110,7 +110,8 @@ def advance(fronts, n, t, end, control, law, sides, work, journal):
     """Classical Runge-Kutta steps to `end`, merging after each; otherwise as `moving_fronts.advance`.
 
     K falls by e^{-η0 m} at the moment at which a vertical step of the height m leaves, so a time step ends there. The
-    outflow holds the steps that left. Return n and whether `end` is reached: not where a time step is below 1e-9 of it.
+    lowering of the crest holds the steps that left. Return n and whether `end` is reached: not where a time step is
+    below 1e-9 of it.
     """
     x, y, is_step, k, dx, dy = fronts.x, fronts.y, fronts.is_step, sides.speed, work.dx, work.dy
     while t < end and n > 0:
@@ -126,7 +127,7 @@ def advance(fronts, n, t, end, control, law, sides, work, journal):
         longest = dt
         if first >= 0:
             dt = min(dt, -x[first] / k[first])
-        growth, outflow = runge_kutta(fronts, n, dt, law, sides, work)
+        growth, crest_lowering = runge_kutta(fronts, n, dt, law, sides, work)
         for trial in range(LANDINGS):
             beyond = x[first] + dx[first] if first >= 0 else -1.0
             if dt == longest and beyond <= 0.0:
@@ -136,12 +137,12 @@ def advance(fronts, n, t, end, control, law, sides, work, journal):
                 break
             dt = min(max(dt - beyond / k[first], 0.5 * dt), longest)
             sweep(x, y, fronts, n, top, law, sides)
-            growth, outflow = runge_kutta(fronts, n, dt, law, sides, work)
+            growth, crest_lowering = runge_kutta(fronts, n, dt, law, sides, work)
         for j in range(n):
             x[j] += dx[j]
             y[j] = max(y[j] + dy[j], 0.0)
         journal.totals[GROWTH] += growth
-        journal.totals[OUTFLOW] += outflow
+        journal.totals[CREST_LOWERING] += crest_lowering
         journal.counts[STEPS] += 1
         t = end if dt == end - t else t + dt
         sweep(x, y, fronts, n, top_front_or_step(x, is_step, n), law, sides)

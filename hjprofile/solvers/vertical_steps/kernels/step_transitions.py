@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from hjprofile.solvers.kernels import compiled
-from hjprofile.solvers.kernels.journal import BIRTH, BLOW_UP, EXIT, OUTFLOW, new_label, note
+from hjprofile.solvers.kernels.journal import BIRTH, BLOW_UP, CREST_LOWERING, EXIT, new_label, note
 from hjprofile.solvers.vertical_steps.kernels.steps import at, f_of, v_of_r, y_of
 
 
@@ -43,7 +43,7 @@ def transitions(fronts, n, t, quantum, strong, law, sides, journal):
     while n > 0 and x[n - 1] >= 0.0:
         n -= 1
         if is_step[n]:
-            journal.totals[OUTFLOW] += m[n]  # what is above a step falls over the edge with it
+            journal.totals[CREST_LOWERING] += m[n]  # what is above a step falls over the edge with it
         if label[n] > 0:
             note(journal, t - x[n] / speed[n], EXIT, label[n], 0, 0.0)
     return n
