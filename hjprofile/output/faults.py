@@ -43,7 +43,7 @@ def _of_numbers(run: Run, summary: Mapping[str, Any]) -> str:
         return "summary.json holds no whole number as steps"
     if not all(isinstance(bound.holds, bool) for bound in run.bounds.values()):
         return "summary.json does not hold true or false for each bound"
-    if (summary["cells"], summary["end"], summary["status"]) != (run.cells, run.time[-1], run.status):
+    if (summary["cells"], summary["supplied"], summary["status"]) != (run.cells, run.time[-1], run.status):
         return "profile.nc and summary.json are not of the same run"
     return ""
 

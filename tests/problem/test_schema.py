@@ -118,7 +118,7 @@ SEVERAL = {  # changes to VALID -> the beginnings of the sentences
     ),
     "parts that do not go together": (
         {"layer": {"supply_flux": 0.1}, "coefficient": {"kind": "expression", "expression": "-1"}, "domain.left": -2.5},
-        ["[layer] a coefficient and a supply flux do not", "[profile] the profile reaches left to x = -3",
+        ["[layer] a coefficient and a rolling layer do not", "[profile] the profile reaches left to x = -3",
          "[coefficient] the coefficient k = -1 at t = 0"],
     ),
     "above all sections": (
