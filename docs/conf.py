@@ -13,6 +13,7 @@ extensions = ["myst_parser", "sphinx.ext.autodoc"]
 exclude_patterns = ["_build"]
 smartquotes_action = "D"  # dashes only: f' is a derivative, no quotation
 
+myst_enable_extensions = ["amsmath", "dollarmath"]
 myst_heading_anchors = 4  # headings have the anchors that a code host gives them
 
 html_theme = "furo"
@@ -32,8 +33,13 @@ python_maximum_signature_line_length = 140
 toc_object_entries_show_parents = "hide"
 
 
-_THEORY = (Path(__file__).parent / "theory.md").read_text(encoding="utf-8")
-_SECTIONS = {n: f"{n}-{title.lower().replace(' ', '-')}" for n, title in re.findall(r"^## §(\d+) (.+)$", _THEORY, re.M)}
+_SECTIONS = {  # number -> page and anchor; sections are numbered through these pages
+    number: f"{page}.html#{number}-{re.sub(r'[^a-z0-9 -]', '', title.lower()).replace(' ', '-')}"
+    for page in ("model", "theory", "methods")
+    for number, title in re.findall(
+        r"^## §(\d+) (.+)$", (Path(__file__).parent / f"{page}.md").read_text(encoding="utf-8"), re.M
+    )
+}
 
 
 def _as_written(app, what, name, obj, options, lines):
@@ -45,7 +51,7 @@ def _as_written(app, what, name, obj, options, lines):
     for i, line in enumerate(lines):
         parts = re.split(r"(`[^`]*`)", line)
         parts[::2] = [re.sub(r"([*|])", r"\\\1", part) for part in parts[::2]]
-        line = re.sub(r"theory, §(\d+)[a-h]?(-[a-h])?", _link, "".join(parts))
+        line = re.sub(r"§(\d+)[a-h]?(-[a-h])?", _link, "".join(parts))
         if listing:
             line = re.sub(r"^    (\w[\w, ]*): ", r"- **\1**: ", line)
             line = re.sub(r"^ {8}", "  ", line)
@@ -54,7 +60,7 @@ def _as_written(app, what, name, obj, options, lines):
 
 
 def _link(section):
-    return f"`{section[0]} <theory.html#{_SECTIONS[section[1]]}>`__"
+    return f"`{section[0]} <{_SECTIONS[section[1]]}>`__"
 
 
 def _readable(app, what, name, obj, options, signature, returns):
