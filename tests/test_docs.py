@@ -225,8 +225,8 @@ def test_sections_that_are_cited_are_there():
 
 
 GREEK = {
-    "alpha", "beta", "gamma", "delta", "Delta", "varepsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu", "xi",
-    "rho", "sigma", "tau", "phi", "psi", "omega", "ell",
+    "alpha", "beta", "gamma", "delta", "Delta", "varepsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu",
+    "xi", "rho", "sigma", "tau", "phi", "psi", "omega", "ell",
 }  # fmt: skip
 
 
