@@ -110,13 +110,13 @@ def extremes():
     """A table: scenes with K up to 1e6 and q down to -0.999, by an explicit method and by fronts."""
     width = np.log(1e6) / (5.0 / 6.0)
     scenes = {
-        "K up to 1e6: q = 5 on a block of length 16.6": (hj.steps([-1.0 - width, -1.0], [5.0]), -2.0 - width),
+        "K up to 1e6: q = 5 on an interval of length 16.6": (hj.steps([-1.0 - width, -1.0], [5.0]), -2.0 - width),
         "K up to 4e8: a smooth bump": (hj.bumps([5.0], [-8.6 * 1.5 - 1.0], [6.0]), -45.0),
         "q = -0.999 in a hollow of length 1": (hj.steps([-3.0, -2.0], [-0.999]), -4.0),
         "q down to -0.999, smooth": (hj.bumps([-0.999], [-3.0], [0.5]), -6.0),
     }
     rows = [
-        "| scene | method | cells or fronts | seconds | steps | sup\\|u\\| error | as a part of sup\\|u - x\\| |",
+        "| test problem | method | cells or fronts | seconds | steps | ‖u - u_exact‖_∞ | relative to ‖u - x‖_∞ |",
         "|---|---|---|---|---|---|---|",
     ]
     for name, (profile, left) in scenes.items():
@@ -150,7 +150,7 @@ def extremes():
 
 
 def limits(trials):
-    rows = ["| method | holds up to | and not from | theory |", "|---|---|---|---|"]
+    rows = ["| method | bounds hold up to ν = | violated from ν = | limit by theory |", "|---|---|---|---|"]
     for method, theory in {t.method: t.theory for t in trials if t.parameter == "cfl"}.items():
         low, high = study.measured_limit(trials, method)
         rows.append(
