@@ -1,4 +1,4 @@
-"""The command line: one function a command; each parses, calls the library and says what came of it."""
+"""The command line: one function per command, which parses, calls the library and prints an account."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hjprofile.errors import PAGE, InputError, RunError
 from hjprofile.interrupts import heed_no_more, leave_when_asked
 
 INTERRUPTED = "hjprofile: interrupted; nothing was left half-written"
-# command -> heading of PAGE, for a sentence that has none of its own; the other commands ask whether it is right
+# command -> heading of PAGE for a message without its own; the other commands are studies
 _ABOUT = {
     "run": "a-run-that-stops",
     "sweep": "a-sweep",
@@ -23,11 +23,14 @@ _ABOUT = {
 
 
 def main(arguments: list[str] | None = None) -> NoReturn:
-    """Runs a command; 0 done, 1 the run or a check failed, 2 wrong usage or bad input. Never a traceback for these."""
-    if arguments is None:  # a process of its own
+    """Run a command. Exit with 0 if it is done, 1 if the run or a check failed, 2 for wrong usage or bad input.
+
+    Known failures print a message, never a traceback.
+    """
+    if arguments is None:  # the process belongs to this command
         _own_process()
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # one that has no '∫' gets a '?', and the command goes on
+        if isinstance(stream, io.TextIOWrapper):  # a character that the encoding lacks is printed as '?'
             stream.reconfigure(errors="replace")
     from cyclopts import CycloptsError
 
@@ -51,7 +54,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         _leave(f"hjprofile: {last}", 2 if isinstance(error, InputError) else 1, last.about or about)
     except MemoryError:
         _leave("hjprofile: the machine's memory is not enough; use fewer cells or snapshots", 1, "memory")
-    except BrokenPipeError:  # whoever read stdout has left; nor is there anything to say when Python flushes at exit
+    except BrokenPipeError:  # the reader of stdout has ended; Python's flush at exit must not fail
         _drop_stdout()
         sys.exit(1)
     except OSError as error:
@@ -64,19 +67,20 @@ def main(arguments: list[str] | None = None) -> NoReturn:
 
 
 def _own_process() -> None:
+    """Prepare a process that belongs to the command alone: open streams, signals, garbage collection."""
     for name in ("stdin", "stdout", "stderr"):
-        if getattr(sys, name) is None:  # closed: the next file would take its number, and receive the output
+        if getattr(sys, name) is None:  # a closed stream: the next file would take its number and receive the output
             setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
     leave_when_asked(_told(INTERRUPTED, "interrupted"))
-    gc.disable()  # the imports would be searched for garbage again and again
+    gc.disable()  # a collection during the imports costs time and frees nothing
 
 
 def _leave(sentence: str, code: int, about: str) -> NoReturn:
-    """Says a sentence, and under which heading of PAGE there is more of it."""
+    """Print a sentence and the heading of PAGE that explains it, then exit."""
     heed_no_more()
     try:
         sys.stdout.flush()
-    except OSError:  # a full disk: the sentence below says so, or says what matters more
+    except OSError:  # a full disk: the message below names it, or a more important reason
         _drop_stdout()
     print(_told(sentence, about), file=sys.stderr)
     sys.exit(code)
@@ -87,5 +91,5 @@ def _told(sentence: str, about: str) -> str:
 
 
 def _drop_stdout() -> None:
-    """Lets go of what stdout still holds and cannot write, which Python would try again at exit."""
+    """Discard the output that stdout cannot write, because Python would try again at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

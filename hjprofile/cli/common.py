@@ -1,4 +1,4 @@
-"""What all commands share: the application, their options, progress, and the two ways of answering."""
+"""The application, the options and the functions that all commands share."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ app = App(
     version=hjprofile.__version__,
     help_format="plaintext",
     default_parameter=Parameter(negative="", show_default=False),
-    suppress_keyboard_interrupt=False,  # `main` has a sentence for it
+    suppress_keyboard_interrupt=False,  # `main` prints a message instead
     help="Slow erosion of granular slopes: a nonlocal Hamilton-Jacobi equation and its cross-checks.",
 )
 app.register_install_completion_command(help="Complete commands and options in this shell (bash, zsh, fish).")
 
 
 def _whole(_: Any, tokens: Any) -> int:
-    """cyclopts would round 60.7 cells to 61."""
+    """Return a whole number; cyclopts would round 60.7 cells to 61."""
     try:
         return int(tokens[0].value)
     except ValueError:
@@ -42,7 +42,7 @@ def expanded(_: Any, tokens: Any) -> Path:
     from contextlib import suppress
 
     path = Path(tokens[0].value)
-    with suppress(RuntimeError):  # there is no such home
+    with suppress(RuntimeError):  # this user has no home folder
         path = path.expanduser()
     return path
 
@@ -73,13 +73,13 @@ Json = Annotated[bool, Parameter(help="Print one JSON document, for scripts, ins
 
 
 def say(json: bool, text: str) -> None:
-    """A line or more for a reader, on stdout."""
+    """Print text for a reader on stdout, unless the command answers in JSON."""
     if not json:
         print(text)
 
 
 def answer(json: bool, document: Mapping[str, Any]) -> None:
-    """The same for a script, once a command: what a reader was told, with all digits."""
+    """Print the JSON document of a command on stdout, with all digits, if the command answers in JSON."""
     if json:
         from hjprofile.output.store import to_json
 
@@ -87,7 +87,7 @@ def answer(json: bool, document: Mapping[str, Any]) -> None:
 
 
 def load_cases(names: tuple[Path, ...], out: Path | None) -> tuple[ResultFolder, list[Case]]:
-    """The cases, and the folder for what comes of them all."""
+    """Return the folder for the results of these cases, and the cases."""
     from hjprofile.problem.case import load_case
 
     loaded = [load_case(name) for name in names]
@@ -97,7 +97,7 @@ def load_cases(names: tuple[Path, ...], out: Path | None) -> tuple[ResultFolder,
 def folder_for(names: tuple[Path, ...], out: Path | None, keep: str = "") -> ResultFolder:
     """Return the folder for the results of these cases. A folder that the user names may have belonged to another case.
 
-    Raises InputError if a case cannot be read, or if its default folder belongs to another case.
+    Raise InputError if a case cannot be read, or if its default folder belongs to another case.
     """
     from hjprofile.output.folder import ResultFolder, owner_of
     from hjprofile.problem.case_files import find_case
@@ -108,7 +108,7 @@ def folder_for(names: tuple[Path, ...], out: Path | None, keep: str = "") -> Res
 
 
 def listing(folder: Path, files: list[Path]) -> str:
-    """File names, with folders as a count."""
+    """Return the names of files as text, with the number of files for each folder."""
     names = [f.relative_to(folder).as_posix() for f in files]
     flat = [n for n in names if "/" not in n]
     if len(flat) > 12:
@@ -121,7 +121,7 @@ def listing(folder: Path, files: list[Path]) -> str:
 
 
 class Progress:
-    """A bar with the time that is left, on stderr, for what takes longer than a second on a terminal."""
+    """A progress bar with the remaining time, on stderr, for work that takes longer than a second on a terminal."""
 
     def __init__(self, label: str):
         self.label, self.started = label, time.monotonic()

@@ -1,4 +1,4 @@
-"""Commands on result folders: plot, compare, animate, export."""
+"""The commands on result folders: plot, compare, animate, export."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Fps = Annotated[float, Parameter(help="Saved times a second; 8 by default.")]
 
 @app.command
 def plot(result: Somewhere, /, *, out: Into = None, json: Json = False) -> None:
-    """Draw the pictures of a result folder again as PNG and as SVG, into it or into another folder."""
+    """Draw the pictures of a result folder again, as PNG and as SVG, into it or into another folder."""
     from hjprofile.output.plots.runs import pictures
     from hjprofile.output.store import load_run
 
@@ -31,7 +31,7 @@ def plot(result: Somewhere, /, *, out: Into = None, json: Json = False) -> None:
 
 @app.command
 def compare(result: Somewhere, other: Somewhere, /, *, out: Into = None, json: Json = False) -> None:
-    """Say how far two results are apart and draw both with their differences, into the first or another folder.
+    """Print the differences of two results, and draw both with their differences into the first folder or another.
 
     The grids must be the same, or one a refinement of the other. Writes comparison.png and comparison.svg.
     """
@@ -66,7 +66,7 @@ def compare(result: Somewhere, other: Somewhere, /, *, out: Into = None, json: J
 
 @app.command
 def animate(result: Somewhere, /, *, out: Film = None, fps: Fps = 8.0, json: Json = False) -> None:
-    """Show the saved times of a result folder as a moving picture: a GIF, or an MP4 where there is ffmpeg."""
+    """Write the saved times of a result folder as an animation: a GIF, or an MP4 if ffmpeg is installed."""
     from hjprofile.output.plots.animation import animation
     from hjprofile.output.store import load_run
 
@@ -85,7 +85,7 @@ def export(
     out: Into = None,
     json: Json = False,
 ) -> None:
-    """Write the VTK files of a result folder, into its folder `vtk` or into another."""
+    """Write the VTK files of a result folder into its folder `vtk` or into another."""
     from hjprofile.output.store import VTK_FOLDER, load_run
 
     if not vtk:

@@ -77,7 +77,7 @@ def run(
 
 
 def _account(run: Run) -> str:
-    """A few lines on what was solved and how it went."""
+    """Return the account of a run: method, budgets, bounds, warnings, in a few lines."""
     eroded = run.eroded_volume
     volume = f"volume {abs(eroded):.6g} {'eroded' if eroded >= 0 else 'deposited'} on balance"
     poured = ""
@@ -108,7 +108,7 @@ def _account(run: Run) -> str:
         lines.insert(4, f"  steps       {len(now)} vertical at the end, {broke} blow-up{'s' * (broke != 1)}{tallest}")
     if run.error_estimate is not None:
         lines.append(f"  error       of u at most {run.error_estimate:.2g}, by estimate")
-    said = run.account.splitlines()  # on the data, and on the choice of `auto`, which is the last
+    said = run.account.splitlines()  # notes on the data, then the note on the choice of `auto`
     labels = ["data", "chosen"][-len(said) :] if run.case["solver"]["method"] == "auto" else ["data"]
     lines[1:1] = [f"  {label:11} {text}" for label, text in zip(labels, said, strict=False)]
     return "\n".join(lines)

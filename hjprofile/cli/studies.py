@@ -1,4 +1,4 @@
-"""Commands that ask whether it is right: check, chart, stability, dependence."""
+"""The commands for studies: check, chart, stability, dependence."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 @app.command
 def check(*case: CasePath, out: Out = None, json: Json = False) -> None:
-    """Test the Hamilton-Jacobi equation against the conservation law on one case or several.
+    """Test the Hamilton-Jacobi equation against the conservation law on one or several cases.
 
-    Writes check.json; ends with exit code 1 if a comparison fails.
+    Writes check.json. The exit code is 1 if a comparison fails.
     """
     from hjprofile.output.store import to_json
     from hjprofile.studies.consistency import check as check_case
@@ -43,7 +43,7 @@ def check(*case: CasePath, out: Out = None, json: Json = False) -> None:
 
 @app.command
 def chart(*case: CasePath, out: Out = None, json: Json = False) -> None:
-    """Chart the accuracy of every method against its seconds, on one case or several.
+    """Measure the error of every method against its run time in seconds, on one or several cases.
 
     Writes chart.csv and chart.png.
     """
@@ -75,7 +75,7 @@ def chart(*case: CasePath, out: Out = None, json: Json = False) -> None:
 
 @app.command
 def stability(case: CasePath, /, *, out: Out = None, json: Json = False) -> None:
-    """Scan where each method on a grid holds and where it fails, on one case.
+    """Scan the limits of stability of each method on a grid, on one case.
 
     Writes stability.csv and stability.png.
     """
@@ -107,9 +107,9 @@ def stability(case: CasePath, /, *, out: Out = None, json: Json = False) -> None
 
 @app.command
 def dependence(case: CasePath, /, *, out: Out = None, json: Json = False) -> None:
-    """Follow how far solutions come apart that begin close together, or erode by close coefficients, on one case.
+    """Measure the distance between solutions with close initial data or close coefficients, on one case.
 
-    Writes dependence.csv and dependence.png; ends with exit code 1 if a distance exceeds its bound.
+    Writes dependence.csv and dependence.png. The exit code is 1 if a distance exceeds its bound.
     """
     from hjprofile.output.plots.study_pictures import dependence_picture
     from hjprofile.output.store import to_csv, write_picture

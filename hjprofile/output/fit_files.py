@@ -1,4 +1,4 @@
-"""What a fit leaves behind: its files, and a short account."""
+"""The files and the account of a fit."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from hjprofile.studies.calibration import FRONTS, Calibration, Parameter
 
 
 def fit_files(found: Calibration) -> dict[str, bytes | str]:
-    """Return name -> content: the numbers, and the case with the fitted values."""
+    """Return name -> content of the files: the numbers, and the case with the fitted values."""
     return {"fit.json": to_json(fit_report(found)), "fitted.toml": to_toml(found.case)}
 
 
 def fit_report(found: Calibration) -> dict[str, Any]:
-    """`fit.json`, as a dictionary."""
+    """Return the content of `fit.json` as a dictionary."""
     return {
         "title": found.title,
         "parameters": {p.name: _row(p) for p in found.parameters},
@@ -43,7 +43,7 @@ def _row(p: Parameter) -> dict[str, Any]:
 
 
 def fit_account(found: Calibration) -> str:
-    """The fitted values, a line each, and how well they meet the survey."""
+    """Return the fitted values, one per line, and the residuals."""
     rows = [*found.parameters, *([found.volume] if found.volume else [])]
     width = max(len(p.name) for p in rows)
     beyond = f" ({found.left_out} beyond the slope left out)" if found.left_out else ""

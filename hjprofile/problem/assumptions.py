@@ -11,8 +11,8 @@ from hjprofile.problem.ranges import Array, number
 from hjprofile.problem.user_code import Function, evaluating
 
 NO_LAW = "what-a-law-must-be"  # heading of the page on errors
-FAR = 1e100, 1e50, 1e30, 1e15  # slopes at which f' is looked for its limit: the largest where f is finite, and the next
-LIMIT = 1e-10  # relative difference of f' at the two up to which it has one
+FAR = 1e100, 1e50, 1e30, 1e15  # slopes at which the limit of f' is estimated: the two largest at which f is finite
+LIMIT = 1e-10  # largest relative difference of f' at these two slopes
 CONCAVE = "f must be concave: each further bit of steepness adds less"
 
 
@@ -33,15 +33,16 @@ class _Sample(NamedTuple):
 
     @property
     def middle(self) -> int:
-        """Where q = 0."""
+        """The index at which q = 0."""
         return self.v.size // 2
 
 
 def check_assumptions(f: Function, derivative: Function, linear: bool) -> float:
     """Return the limit of f' as q -> infinity if growth is linear, else 0.
 
-    Raise InputError naming the assumption that the law breaks, of [eq:f] or of linear growth, and a q where. The order
-    of the checks decides which is named: a convex law breaks more than one.
+    Raise InputError with the violated assumption, of [eq:f] or of linear growth, and a q. The order of the checks
+    decides
+    which assumption is named, because a convex law violates several.
     """
     v = np.linspace(np.log(1e-8), np.log(1e8), 4001)
     q = np.expm1(v)
@@ -69,6 +70,7 @@ def refuse(assumption: str, where: float, because: str) -> NoReturn:
 
 
 def _check_zero(f0: float) -> None:
+    """Check that f(0) = 0."""
     if np.isfinite(f0) and abs(f0) <= 1e-12:
         return
     because = "at the critical slope nothing erodes or settles" if np.isfinite(f0) else "f must be a number there"
@@ -78,7 +80,7 @@ def _check_zero(f0: float) -> None:
 
 
 def _limit(f: Function, derivative: Function) -> float:
-    """Return lim f' as q -> infinity, read off f/q, which is exact so far out. Raise InputError if f' has none."""
+    """Return lim f' as q -> infinity, from f/q, which is exact at such slopes. Raise InputError if f' has none."""
     q = np.array(FAR)
     with np.errstate(all="ignore"):
         values, slopes = np.asarray(f(q), dtype=float), np.asarray(derivative(q), dtype=float)
@@ -94,6 +96,7 @@ def _limit(f: Function, derivative: Function) -> float:
 
 
 def _check_increasing(sample: _Sample, limit: float) -> None:
+    """Check that f increases, and that f' does not increase at q = 0."""
     _, q, _, df, resolved = sample
     flat = (df <= 0) & (resolved | (q < 20))
     if limit and flat.any():
@@ -107,7 +110,8 @@ def _check_increasing(sample: _Sample, limit: float) -> None:
 
 
 def _check_fall(sample: _Sample) -> None:
-    # (1+q) f' is the slope of f in ln(1+q): where it dies out towards q = -1, f has a finite limit there.
+    # (1+q) f' is the slope of f in ln(1+q). If it decays towards q = -1, f has a finite limit there.
+    """Check that f falls without bound as q -> -1."""
     slope = (1 + sample.q) * sample.df
     if slope[0] < 0.5 * np.interp(np.log(1e-4), sample.v, slope):
         because = "no slope may become flat, so f falls without bound, as q/(1+q) does"
@@ -115,6 +119,7 @@ def _check_fall(sample: _Sample) -> None:
 
 
 def _check_concave(sample: _Sample, within: Array) -> None:
+    """Check that f' decreases."""
     v, q, _, df, resolved = sample
     rising = (df[1:] >= df[:-1] * (1 - 1e-10)) & resolved[1:] & resolved[:-1]
     at = np.flatnonzero(rising & within)
@@ -123,6 +128,7 @@ def _check_concave(sample: _Sample, within: Array) -> None:
 
 
 def _check_finite(sample: _Sample) -> None:
+    """Check that f and f' are finite."""
     broken = ~(np.isfinite(sample.f) & np.isfinite(sample.df))
     if broken.any():
         where = sample.q[np.argmax(broken)]
@@ -130,6 +136,7 @@ def _check_finite(sample: _Sample) -> None:
 
 
 def _check_growth(sample: _Sample) -> None:
+    """Check that f grows more slowly than q."""
     if sample.df[-1] > 0.5 * np.interp(np.log(1e4), sample.v, sample.df):
         raise InputError(
             "the law is not an erosion function: f(q)/q -> 0 as q -> infinity (sublinear growth) fails at "

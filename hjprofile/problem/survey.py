@@ -1,4 +1,4 @@
-"""Surveyed slopes: heights from a CSV file, scaled, checked and on request repaired."""
+"""Surveyed slopes: heights from a CSV file, scaled, checked and repaired on request."""
 
 from __future__ import annotations
 
@@ -17,30 +17,50 @@ from hjprofile.problem.profiles import Points, Profile, kind
 from hjprofile.problem.ranges import RANGES, Array, as_path, number, shown
 from hjprofile.problem.units import Units
 
-REPAIR_SLOPE = 0.05  # least slope that a repaired survey keeps, as a fraction of the critical slope
-# Of the relief, the farthest that a repair may move a point. Noise of 2 m moves those of the hillslope by 0.7 % of its
-# 652 m at most, noise of 5 m by 2 %; what moves by a tenth has been mistyped, or was not measured
+REPAIR_SLOPE = 0.05  # smallest slope of a repaired survey, as a fraction of the critical slope
+# Largest move of a point by a repair, relative to the relief. Noise of 2 m moves points of the hillslope by 0.7 % of
+# its 652 m at most, noise of 5 m by 2 %. A point that moves by a tenth was mistyped or not measured.
 MOST_MOVED = 0.1
-MOST_ROWS = 5  # that a message names
+MOST_ROWS = 5  # named in a message
 LONGEST_SHOWN = 60  # characters of a line in a message
-FAR = 3.0  # times the critical slope, or a part of it: a mean slope that is told; a metre has 3.28 feet
+FAR = 3.0  # ratio of mean and critical slope, or its inverse, that is reported; a metre has 3.28 feet
 ABOUT = "a-survey"  # heading of the page on errors
 FORMAT = "the-file-of-a-survey"
 DOES_NOT_RISE = "a-survey-that-does-not-rise"
 
 
 @kind("survey", file=TEXT, critical_slope=POSITIVE, length=POSITIVE, repair=TEXT)
-@np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks refuse
+@np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks reject
 def survey(
     file: str | Path, critical_slope: float, length: float, repair: str | None = None, base: Path | None = None
 ) -> Profile:
-    """A surveyed slope: a CSV file with header `x,height`, x increasing and uphill to the right.
+    """Return the profile of a surveyed slope, linear between its points, with the neutral slope left of the first.
 
-    x and height are divided by `length` (the exchange length, over which an avalanche grows e-fold), height also by
-    `critical_slope`; the last point becomes the origin. The profile is linear between points and has the critical
-    slope left of the first. Raises InputError if the survey descends somewhere, unless `repair` is "isotonic": then
-    it is replaced by the nearest profile (least squares) that rises everywhere by at least 0.05 of the critical slope;
-    InputError where that moves a point by more than 0.1 of the relief, or the top is at the left.
+    The last point becomes the origin.
+
+    Args:
+        file: a CSV file with the header `x,height`; x increases uphill, in the unit of the survey.
+        critical_slope: the neutral slope, height over length, positive.
+        length: the exchange length, in the unit of the survey, positive. x is divided by it, heights by it and by
+            `critical_slope`.
+            repair: "isotonic" replaces a survey that falls by the nearest heights (least squares) that rise everywhere
+            by at
+            least 0.05 of the critical slope; None rejects such a survey.
+        base: the folder to which `file` is relative.
+
+    Returns:
+        The profile, with `units` for the way back to the survey.
+
+    Raises:
+            InputError: if the survey falls and is not repaired, if a repair would move a height by more than 0.1 of the
+            relief,
+            if the crest is at the left, or if the file holds no survey.
+
+    >>> import hjprofile as hj
+    >>> file = hj.shipped_cases()["hillslope"].parent / "hillslope.csv"
+    >>> slope = hj.survey(file, critical_slope=0.257, length=200.0, repair="isotonic")
+    >>> round(slope.start(), 2)
+    -12.68
     """
     critical_slope, length = number("critical_slope", critical_slope, ABOUT), number("length", length, ABOUT)
     if not (repair is None or (isinstance(repair, str) and repair == "isotonic")):
@@ -72,7 +92,7 @@ def survey(
 
 
 def _check_that_it_rises(file: str, x: Array, height: Array, rows: Sequence[int], falls: Array, repaired: bool) -> None:
-    """Raise InputError if a survey passes a crest, has its top at the left, or falls without a repair."""
+    """Raise InputError if a survey passes a crest, has its crest at the left, or falls without a repair."""
     if (top := crest(height)) is not None:
         raise InputError(
             f"file = {file!r} passes its crest in row {rows[top]} (x = {x[top]:g}), and a case is of one flank; keep "
@@ -98,7 +118,7 @@ def _check_that_it_rises(file: str, x: Array, height: Array, rows: Sequence[int]
 
 
 def _repaired(file: str, x: Array, height: Array, rows: Sequence[int], least: float) -> tuple[Array, str]:
-    """Return the nearest rising heights, and an account of them. Raises InputError if one would move too far."""
+    """Return the nearest rising heights, and an account of them. Raise InputError if a height would move too far."""
     repaired = nearest_rising(x, height, least)
     moved = np.abs(repaired - height)
     far = moved > MOST_MOVED * np.ptp(repaired)
@@ -118,17 +138,18 @@ def _repaired(file: str, x: Array, height: Array, rows: Sequence[int], least: fl
 
 
 def nearest_rising(x: Array, height: Array, least: float) -> Array:
-    """The heights nearest to these, by least squares, that rise everywhere by a slope of `least` and a hair."""
+    """Return the nearest heights, by least squares, that rise everywhere by slightly more than the slope `least`."""
     from scipy.optimize import isotonic_regression
 
-    tilt = (1 + 1e-9) * least * (x - x[-1])  # the hair: rounding cannot bring the slope below
+    tilt = (1 + 1e-9) * least * (x - x[-1])  # the factor keeps the slope above `least` after rounding
     return isotonic_regression(height - tilt).x + tilt
 
 
 def _farthest_off(height: Array, moved: Array, far: Array) -> int:
-    """Which of the points that are `far` off is to blame, as a wrong height takes its neighbours along.
+    """Return the index of the wrong height among the points that are `far` off; a wrong height also moves its
+    neighbours.
 
-    That is the one which moves farthest, and lies farthest beyond the heights that stay.
+    It is the one that moves farthest and lies farthest beyond the heights that stay.
     """
     beyond = np.zeros_like(height)
     if not far.all():
@@ -139,9 +160,21 @@ def _farthest_off(height: Array, moved: Array, far: Array) -> int:
 
 @np.errstate(all="ignore")
 def read_survey(file: str | Path) -> tuple[Array, Array, list[int]]:
-    """x, height and their rows in a CSV file with header `x,height` (which is row 1), x increasing.
+    """Read a survey from a CSV file with the header `x,height`.
 
-    Raises InputError naming the row.
+    Args:
+        file: the path of the file; its header is row 1, lines that begin with # are comments.
+
+    Returns:
+        x, increasing, and height, both of shape (n,) in the unit of the survey, and the list of their rows.
+
+    Raises:
+        InputError: with the row that is at fault.
+
+    >>> import hjprofile as hj
+    >>> x, height, rows = hj.read_survey(hj.shipped_cases()["hillslope"].parent / "hillslope.csv")
+    >>> x.shape == height.shape == (len(rows),)
+    True
     """
     file = as_path("file", file)
     require_file(file)
@@ -200,7 +233,7 @@ def read_survey(file: str | Path) -> tuple[Array, Array, list[int]]:
 
 
 def _what_a_header_is(found: str) -> str:
-    """What is wrong with a header, as far as it can be guessed."""
+    """Return a guess at the fault of a header."""
     if re.search(r"[;\t]", found):
         return "columns are separated by commas, and decimals have a point"
     if re.search(r"\b(m|km|ft|feet|foot|in|yd|metres?|meters?)\b", found.replace("_", " ")):

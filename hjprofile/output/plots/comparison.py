@@ -1,4 +1,4 @@
-"""A picture of two runs beside each other."""
+"""The picture that compares two runs."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from hjprofile.solvers.run import Run
 from hjprofile.studies.accuracy import kink_distances, shared
 
 SHOWN = 4  # shared times at which profiles are drawn
-ROUNDING = 1e-12  # distances that are none
-LONGEST = 26  # characters of a name that a key has room for
+ROUNDING = 1e-12  # largest distance that counts as 0
+LONGEST = 26  # characters of a name that fit into a legend
 
 _LOOKS: tuple[dict[str, Any], ...] = (
     {"color": TWO_RUNS[0], "lw": 1.5},
@@ -29,17 +29,17 @@ _KINKS: dict[str, Any] = {"color": INK, "ls": "none", "marker": ".", "ms": 4.0, 
 
 
 def comparison_pictures(first: Run, second: Run, names: tuple[str, str]) -> dict[str, bytes | str]:
-    """Name -> file of `draw_comparison`, as PNG and as SVG."""
+    """Return name -> content of `draw_comparison`, as PNG and as SVG."""
     figure = draw_comparison(first, second, names)
     return {f"comparison.{form}": style.encode(figure, form) for form in ("png", "svg")}
 
 
 @styled
 def draw_comparison(first: Run, second: Run, names: tuple[str, str]) -> Figure:
-    """Both profiles at up to four shared times, their differences in u and q; through time the largest one of u, and
-    how far kinks are apart.
+    """Draw both profiles at up to four shared times, their differences in u and q, and the largest differences over
+    time.
 
-    In the survey's units if both runs have the same, else in exchange lengths. Raises InputError if the runs cannot be
+    Use the survey's units if both runs have the same, else exchange lengths. Raise InputError if the runs cannot be
     compared.
     """
     both = shared(first, second)
@@ -101,7 +101,7 @@ def draw_comparison(first: Run, second: Run, names: tuple[str, str]) -> Figure:
 
 
 def _scale(axes: Axes, found: list[float]) -> None:
-    """Logarithmic where distances differ by a factor of ten, else from 0."""
+    """Set a logarithmic axis if distances differ by a factor of ten, else one from 0."""
     if max(found) > 10.0 * min(found):
         axes.set_yscale("log")
         style.plain_numbers(axes.yaxis)

@@ -1,4 +1,4 @@
-"""Pictures of studies: accuracy against seconds, stability, dependence, a fit."""
+"""Pictures of studies: error against run time, stability, dependence, a fit."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from hjprofile.studies.chart import Point, Reference, pareto
 from hjprofile.studies.dependence import Distance, largest_distances, observed_constant
 from hjprofile.studies.stability import FAILS, HOLDS, LOSES, OSCILLATES, Trial
 
-# Okabe and Ito's colours can be told apart without green and red; a form's carried-over fluxes share its colour and are
-# drawn lightly. In the order of the table of methods, closing again where that is longer.
+# Okabe and Ito's colours, distinguishable without green and red. The fluxes that a form takes over share its colour and
+# are drawn lightly. The order is that of the table of methods; the palette repeats if that is longer.
 _PALETTE = (
     ("#999999", "o"), ("#E69F00", "o"), ("#56B4E9", "o"), ("#CC79A7", "o"), ("#009E73", "s"), ("#000000", "D"),
     ("#0072B2", "s"), ("#D55E00", "^"), ("#B8A800", "*"),
@@ -29,13 +29,13 @@ _LOOKS = dict(zip(_DRAWN, cycle(_PALETTE), strict=False))
 
 @style.defaults
 def chart_picture(charts: Mapping[str, tuple[Sequence[Point], Reference]]) -> bytes:
-    """PNG of `draw_chart`."""
+    """Return the PNG of `draw_chart`."""
     return png(draw_chart(charts))
 
 
 @style.defaults
 def draw_chart(charts: Mapping[str, tuple[Sequence[Point], Reference]]) -> Figure:
-    """Error against seconds, a row for each case: sup|u| on the left, ∫|q| on the right with its Pareto front."""
+    """Draw error against run time, a row for each case: sup|u| on the left, ∫|q| on the right with its Pareto front."""
     figure = new_figure(10.0, 4.6 * len(charts))
     rows = figure.subplots(len(charts), 2, squeeze=False)
     for (case, (points, reference)), row in zip(charts.items(), rows, strict=True):
@@ -89,13 +89,15 @@ _AXES = {  # parameter -> title, logarithmic
 
 @style.defaults
 def stability_picture(trials: Sequence[Trial]) -> bytes:
-    """PNG of `draw_stability`."""
+    """Return the PNG of `draw_stability`."""
     return png(draw_stability(trials))
 
 
 @style.defaults
 def draw_stability(trials: Sequence[Trial]) -> Figure:
-    """A panel for each parameter, a row for each method, a mark for each outcome; theory's limit as a line."""
+    """Draw a panel for each parameter, a row for each method, a symbol for each outcome, and the theoretical limit as a
+    line.
+    """
     panels: dict[str, list[Trial]] = {}
     for trial in trials:
         panels.setdefault("viscosity" if np.isfinite(trial.cfl) else trial.parameter, []).append(trial)
@@ -157,16 +159,16 @@ def draw_stability(trials: Sequence[Trial]) -> Figure:
 
 @style.defaults
 def dependence_picture(distances: Sequence[Distance]) -> bytes:
-    """PNG of `draw_dependence`."""
+    """Return the PNG of `draw_dependence`."""
     return png(draw_dependence(distances))
 
 
-_SHADES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9")  # of sizes
+_SHADES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9")  # of the sizes of a disturbance
 
 
 @style.defaults
 def draw_dependence(distances: Sequence[Distance]) -> Figure:
-    """A panel for each study: distances over time, and for what converges the last ones over size."""
+    """Draw a panel for each study: distances over time, or the largest distances against the size of a disturbance."""
     studies: dict[str, list[Distance]] = {}
     for d in distances:
         studies.setdefault(d.study, []).append(d)
@@ -226,13 +228,13 @@ def draw_dependence(distances: Sequence[Distance]) -> Figure:
 
 
 def fit_picture(found: Calibration) -> bytes | str:
-    """PNG of `draw_fit`."""
+    """Return the PNG of `draw_fit`."""
     return style.encode(draw_fit(found), "png")
 
 
 @style.styled
 def draw_fit(found: Calibration) -> Figure:
-    """Both surveys with the fitted profile; below it how far the slope has moved; below that what the fit leaves."""
+    """Draw both surveys with the fitted profile, the change of height, and the residuals."""
 
     def written(value: float) -> str:
         return style.amount(value) if value >= 1000.0 else f"{value:.4g}"
