@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-PAGE = "docs/errors.md"  # holds every message of the library; a test compares both
+PAGE = "docs/errors.md"  # holds every message of the library; `hjprofile explain` prints its sections
 
 
 class InputError(ValueError):

@@ -8,17 +8,18 @@ import os
 import sys
 from typing import NoReturn
 
-from hjprofile.errors import PAGE, InputError, RunError
+from hjprofile.errors import InputError, RunError
 from hjprofile.interrupts import heed_no_more, leave_when_asked
 
-INTERRUPTED = "hjprofile: interrupted; nothing was left half-written"
-# command -> heading of PAGE for a message without its own; the other commands are studies
+INTERRUPTED = "hjprofile: interrupted; no partial file was left"
+# command -> heading of the page on errors for a message without its own; the other commands are studies
 _ABOUT = {
     "run": "a-run-that-stops",
     "sweep": "a-sweep",
     "fit": "a-fit",
     "plot": "a-result-folder",
     "export": "a-result-folder",
+    "explain": "the-command-line",
 }
 
 
@@ -34,6 +35,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
             stream.reconfigure(errors="replace")
     from cyclopts import CycloptsError
 
+    import hjprofile.cli.explain_command
     import hjprofile.cli.results
     import hjprofile.cli.run_command
     import hjprofile.cli.solving
@@ -50,16 +52,16 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         *others, last = error.faults if isinstance(error, InputError) else (error,)
         about = _ABOUT.get(command, "a-check-or-a-study")
         for fault in others:
-            print(_told(f"hjprofile: {fault}", fault.about or about), file=sys.stderr)
+            print(_with_pointer(f"hjprofile: {fault}", fault.about or about), file=sys.stderr)
         _leave(f"hjprofile: {last}", 2 if isinstance(error, InputError) else 1, last.about or about)
     except MemoryError:
-        _leave("hjprofile: the machine's memory is not enough; use fewer cells or snapshots", 1, "memory")
+        _leave("hjprofile: the memory of this machine is not sufficient; use fewer cells or snapshots", 1, "memory")
     except BrokenPipeError:  # the reader of stdout has ended; Python's flush at exit must not fail
         _drop_stdout()
         sys.exit(1)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        _leave(f"hjprofile: {where}{error.strerror or error}; nothing was left half-written", 1, "a-place-to-write")
+        _leave(f"hjprofile: {where}{error.strerror or error}; no partial file was left", 1, "a-place-to-write")
     except KeyboardInterrupt:
         _leave(INTERRUPTED, 1, "interrupted")
     heed_no_more()
@@ -71,23 +73,24 @@ def _own_process() -> None:
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:  # a closed stream: the next file would take its number and receive the output
             setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
-    leave_when_asked(_told(INTERRUPTED, "interrupted"))
+    leave_when_asked(_with_pointer(INTERRUPTED, "interrupted"))
     gc.disable()  # a collection during the imports costs time and frees nothing
 
 
 def _leave(sentence: str, code: int, about: str) -> NoReturn:
-    """Print a sentence and the heading of PAGE that explains it, then exit."""
+    """Print a message and the command that explains it, then exit."""
     heed_no_more()
     try:
         sys.stdout.flush()
     except OSError:  # a full disk: the message below names it, or a more important reason
         _drop_stdout()
-    print(_told(sentence, about), file=sys.stderr)
+    print(_with_pointer(sentence, about), file=sys.stderr)
     sys.exit(code)
 
 
-def _told(sentence: str, about: str) -> str:
-    return f"{' '.join(sentence.split())} ({PAGE}#{about})"
+def _with_pointer(sentence: str, about: str) -> str:
+    """Return a message with the command that explains it."""
+    return f"{' '.join(sentence.split())} (see: hjprofile explain {about})"
 
 
 def _drop_stdout() -> None:

@@ -48,28 +48,36 @@ def expanded(_: Any, tokens: Any) -> Path:
 
 
 Somewhere = Annotated[Path, Parameter(converter=expanded)]
-CasePath = Annotated[Somewhere, Parameter(help="A TOML file, or a name that `hjprofile cases` lists.")]
+CasePath = Annotated[Somewhere, Parameter(help="A TOML file, or the name of a case that `hjprofile cases` lists.")]
 After = Annotated[Somewhere, Parameter(help="The survey afterwards: a CSV file with the header x,height.")]
 Cells = Annotated[int | None, Parameter(converter=_whole, help="Number of grid cells, instead of the case's.")]
-Method = Annotated[str | None, Parameter(help="Solver method, instead of the case's; a wrong name lists them all.")]
-Cfl = Annotated[float | None, Parameter(help="Time step as a part of the largest monotone one.")]
-Tolerance = Annotated[float | None, Parameter(help="Largest error of u; takes the method auto if none is named.")]
-End = Annotated[float | None, Parameter(help="Mass of grains poured in at which the run ends.")]
-Resume = Annotated[bool, Parameter(help="Go on from the checkpoint in the folder for the results.")]
-Strict = Annotated[bool, Parameter(help="Stop, as a failure, where a bound is broken.")]
-Fitted = Annotated[list[str], Parameter(help="A parameter to fit by its key, as in time.end; once for each.")]
-Sigma = Annotated[float | None, Parameter(help="Standard deviation of a measured height; else from the residuals.")]
+Method = Annotated[str | None, Parameter(help="Method, instead of the case's; an unknown name lists all methods.")]
+Cfl = Annotated[
+    float | None, Parameter(help="CFL number, instead of the case's: time step relative to the largest monotone one.")
+]
+Tolerance = Annotated[
+    float | None, Parameter(help="Largest allowed error of u; selects the method auto unless a method is named.")
+]
+End = Annotated[float | None, Parameter(help="Supplied mass at which the run ends, instead of the case's.")]
+Resume = Annotated[bool, Parameter(help="Continue from the checkpoint in the folder for the results.")]
+Strict = Annotated[bool, Parameter(help="Stop with exit code 1 if a bound is violated.")]
+Fitted = Annotated[list[str], Parameter(help="Key of a parameter to fit, as in time.end. May be repeated.")]
+Sigma = Annotated[
+    float | None, Parameter(help="Standard deviation of a measured height; estimated from the residuals by default.")
+]
 Out = Annotated[
     Path | None, Parameter(converter=expanded, help="Folder for the results; results/<case name> by default.")
 ]
-Into = Annotated[Path | None, Parameter(converter=expanded, help="Folder for the files; the result's own by default.")]
+Into = Annotated[
+    Path | None, Parameter(converter=expanded, help="Folder for the files; the folder of the result by default.")
+]
 
 Vary = Annotated[list[str], Parameter(help="A key of the case and its values: erosion.m=0.5,1,2. May be repeated.")]
 Workers = Annotated[
     int | None, Parameter(converter=_whole, help="Number of processes; one for each processor by default.")
 ]
-Kept = Annotated[bool, Parameter(help="Do not run again what is done in the folder for the results.")]
-Json = Annotated[bool, Parameter(help="Print one JSON document, for scripts, instead of lines to read.")]
+Kept = Annotated[bool, Parameter(help="Use the members that are stored in the folder for the results.")]
+Json = Annotated[bool, Parameter(help="Print one JSON document, for scripts, instead of text.")]
 
 
 def say(json: bool, text: str) -> None:

@@ -13,11 +13,9 @@ from hjprofile.errors import InputError
 
 Film = Annotated[
     Path | None,
-    Parameter(
-        converter=expanded, help="File, which ends in .gif or .mp4; profile.gif in the result folder by default."
-    ),
+    Parameter(converter=expanded, help="File that ends in .gif or .mp4; profile.gif in the result folder by default."),
 ]
-Fps = Annotated[float, Parameter(help="Saved times a second; 8 by default.")]
+Fps = Annotated[float, Parameter(help="Saved times per second; 8 by default.")]
 
 
 @app.command
@@ -45,14 +43,14 @@ def compare(result: Somewhere, other: Somewhere, /, *, out: Into = None, json: J
     if names[0] == names[1]:
         names = (str(result), str(other))
     files = comparison_pictures(first, second, names)
-    kinks = f"{norms.kinks:.2g}" if norms.kinks == norms.kinks else "none to compare"
+    kinks = f"{norms.kinks:.2g}" if norms.kinks == norms.kinks else "no kinks to compare"
     heights = ""
     if (units := first.units) and second.units:
         in_units = "in the survey's units"
         area, height = norms.height_l1 * units.volume, norms.height_sup * units.length * units.critical_slope
         heights = f" ({area:.2g} and {height:.2g} {in_units})"
         kinks += f" ({norms.kinks * units.length:.2g} {in_units})" if norms.kinks == norms.kinks else ""
-    times = f"{norms.shared_times} in both, of {first.time.size} and {second.time.size} that are saved"
+    times = f"{norms.shared_times} shared, of {first.time.size} and {second.time.size} saved times"
     lines = [f"{name}: {run.method}, {run.cells} cells" for name, run in zip(names, (first, second), strict=True)]
     lines += [
         f"  times       {times}",
@@ -81,7 +79,7 @@ def export(
     result: Somewhere,
     /,
     *,
-    vtk: Annotated[bool, Parameter(help="Files for ParaView; the only format so far.")] = False,
+    vtk: Annotated[bool, Parameter(help="Write VTK files, for ParaView; the only format.")] = False,
     out: Into = None,
     json: Json = False,
 ) -> None:

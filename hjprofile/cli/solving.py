@@ -50,7 +50,7 @@ def sweep(
     say(json, f"written to {folder}: sweep.csv, sweep.nc")
     answer(json, report(result) | {"files": [folder / "sweep.csv", folder / "sweep.nc"]})
     if not any(outcome.done for outcome in result.outcomes):
-        raise RunError(f"{case}: no member could be solved; the reasons are in {folder / 'sweep.csv'}")
+        raise RunError(f"{case}: no member was solved; the reasons are in {folder / 'sweep.csv'}")
 
 
 @app.command

@@ -38,7 +38,9 @@ def check(*case: CasePath, out: Out = None, json: Json = False) -> None:
     say(json, "\n".join([*map(str, verdicts), f"written to {files[0]}"]))
     answer(json, report | {"files": files})
     if failed:
-        raise RunError(f"the consistency test fails on {', '.join(failed)}; lines marked FAILS above say where")
+        raise RunError(
+            f"the consistency test fails on {', '.join(failed)}; the lines marked FAILS name the comparisons"
+        )
 
 
 @app.command
@@ -60,9 +62,9 @@ def chart(*case: CasePath, out: Out = None, json: Json = False) -> None:
     for one in loaded:
         with Progress(f"charting {one.name}") as progress:
             charts[one.name] = points, reference = chart_case(one.name, one.problem, one.grid, one.cfl, progress)
-        known = f" (u to {reference.error:.1g}, q to {reference.error_q:.1g})" if reference.error else ""
+        known = f" (errors of u {reference.error:.1g}, of q {reference.error_q:.1g})" if reference.error else ""
         best = pareto(points)
-        head = f"{one.name}: {len(points)} runs against {reference.name}{known}. None beats in seconds and in error:"
+        head = f"{one.name}: {len(points)} runs; reference: {reference.name}{known}. Pareto front of seconds and error:"
         lines += [head, *(_point(p, reference) for p in best)]
         known_to = {"reference_error": reference.error, "reference_error_q": reference.error_q}
         found = {"case": one.name, "reference": reference.name} | known_to
@@ -86,9 +88,9 @@ def stability(case: CasePath, /, *, out: Out = None, json: Json = False) -> None
 
     folder, (loaded,) = load_cases((case,), out)
     folder.open()
-    with Progress(f"trying {loaded.name}") as progress:
+    with Progress(f"scanning {loaded.name}") as progress:
         trials = scan(loaded.name, loaded.problem, loaded.grid, progress)
-    lines = [f"{loaded.name}: {len(trials)} trials. CFL number up to which a method holds (by theory):"]
+    lines = [f"{loaded.name}: {len(trials)} trials. Largest stable CFL number, measured (proved):"]
     limits = {}
     for method, theory in {t.method: t.theory for t in trials if t.parameter == "cfl"}.items():
         low, high = measured_limit(trials, method)
@@ -118,7 +120,7 @@ def dependence(case: CasePath, /, *, out: Out = None, json: Json = False) -> Non
 
     folder, (loaded,) = load_cases((case,), out)
     folder.open()
-    with Progress(f"disturbing {loaded.name}") as progress:
+    with Progress(f"measuring {loaded.name}") as progress:
         distances = study(loaded.name, loaded.problem, loaded.grid, progress)
     sentences, failed = summary(distances)
     files = folder.write({"dependence.csv": to_csv(Distance._fields, distances)})

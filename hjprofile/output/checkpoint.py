@@ -89,7 +89,7 @@ class Checkpoint:
         self.last = time.monotonic()
         if self.asked:
             raise RunError(
-                f"interrupted at t = {t:.6g}; the run is kept in {self.path}, and --resume goes on from there",
+                f"interrupted at t = {t:.6g}; the state is saved in {self.path}; --resume continues from it",
                 about="interrupted",
             )
 

@@ -38,9 +38,9 @@ def _of_texts(run: Run) -> str:
 def _of_numbers(run: Run, summary: Mapping[str, Any]) -> str:
     numbers = (run.wall_seconds, 0.0 if run.error_estimate is None else run.error_estimate)
     if not all(isinstance(v, (int, float)) and not isinstance(v, bool) and 0.0 <= v < LARGEST for v in numbers):
-        return "summary.json holds no number, or a negative one, as wall_seconds or error_estimate"
+        return "wall_seconds and error_estimate in summary.json must be numbers, not negative"
     if isinstance(run.steps, bool) or not isinstance(run.steps, int) or not 0 <= run.steps < LARGEST:
-        return "summary.json holds no whole number as steps"
+        return "steps in summary.json must be a whole number"
     if not all(isinstance(bound.holds, bool) for bound in run.bounds.values()):
         return "summary.json does not hold true or false for each bound"
     if (summary["cells"], summary["supplied"], summary["status"]) != (run.cells, run.time[-1], run.status):
@@ -54,7 +54,7 @@ def _of_case(run: Run) -> str:
     if run.case["erosion"].get("law") != "python":  # the file would run its author's code
         law_from(run.case["erosion"])
     if not isinstance(run.case["solver"].get("method"), str):
-        return "the stored case names no method"
+        return "the stored case must name a method"
     return ""
 
 

@@ -46,7 +46,7 @@ def fit_account(found: Calibration) -> str:
     """Return the fitted values, one per line, and the residuals."""
     rows = [*found.parameters, *([found.volume] if found.volume else [])]
     width = max(len(p.name) for p in rows)
-    beyond = f" ({found.left_out} beyond the slope left out)" if found.left_out else ""
+    beyond = f" ({found.left_out} beyond the slope omitted)" if found.left_out else ""
     lines = [
         found.title,
         f"  fitted to {found.x.size} heights{beyond} in {found.wall_seconds:.2g} s, {found.evaluations} evaluations",
@@ -54,12 +54,11 @@ def fit_account(found: Calibration) -> str:
     if found.account:
         lines.append(f"  {found.account}")
     for p in rows:
-        known = f"{p.low:.5g} to {p.high:.5g} (95 %)" if p.low == p.low else "no interval, see below"
+        known = f"{p.low:.5g} to {p.high:.5g} (95 %)" if p.low == p.low else "no interval, see the warnings"
         lines.append(f"  {p.name:{width}}  {p.value:<10.6g}  {known}, started at {p.start:g}")
-    fits = (
-        f"  residuals {found.rms:.3g} r.m.s., sigma {found.sigma:.3g} {'given' if found.sigma_given else 'from them'}"
-    )
+    source = "given" if found.sigma_given else "estimated from them"
+    fits = f"  residuals {found.rms:.3g} r.m.s., sigma {found.sigma:.3g} {source}"
     if found.chi2 is not None:
         freedom = found.degrees_of_freedom
-        fits += f", chi² {found.chi2 / freedom:.3g} for each of {freedom} degrees of freedom"
+        fits += f", chi² per degree of freedom {found.chi2 / freedom:.3g} ({freedom} degrees)"
     return "\n".join([*lines, fits, *(f"  WARNING   {warning}" for warning in found.warnings)])

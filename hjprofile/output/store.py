@@ -301,7 +301,7 @@ def load_run(folder: str | Path) -> Run:
         return run
     except FileNotFoundError as error:
         under = Path("results") / folder
-        remedy = f"did you mean {under}?" if under.is_dir() else "`hjprofile run` writes them whole"
+        remedy = f"did you mean {under}?" if under.is_dir() else "run the case again"
         message = f"{folder} is not a complete result folder: {Path(error.filename).name} is missing; {remedy}"
         raise InputError(message, about="a-result-folder") from None
     except NotADirectoryError:
@@ -315,13 +315,13 @@ def load_run(folder: str | Path) -> Run:
 
 
 def _no_number(name: str) -> None:
-    raise ValueError(f"summary.json holds {name}, which is no JSON")
+    raise ValueError(f"summary.json holds {name}, which is not JSON")
 
 
 def _number(value: float | None) -> float:
     """Return a number of summary.json; null, which `to_json` writes for NaN, is NaN."""
     if isinstance(value, (str, bool)):
-        raise TypeError(f"summary.json holds {value!r} in the place of a number")
+        raise TypeError(f"summary.json holds {value!r} instead of a number")
     return float("nan") if value is None else float(value)
 
 

@@ -129,8 +129,8 @@ def sweep(
         if not kept:
             raise
         done = sum(outcome.done for outcome in outcomes.values())
-        what = f"{str(error) or 'interrupted'}; {done} of {len(made)} members are kept in {kept}"
-        raise RunError(f"{what}, and --resume goes on from there") from None
+        what = f"{str(error) or 'interrupted'}; {done} of {len(made)} members are stored in {kept}"
+        raise RunError(f"{what}, and --resume continues from them") from None
     grids = {m.grid for m in made if m.grid}
     title = made[0].content.get("title", made[0].name)
     found_all = [outcomes[i] for i in range(len(made))]
@@ -229,9 +229,9 @@ def netcdf(result: Sweep) -> bytes:
     for name, long_name in QUANTITIES.items():
         put(name, "f8", dimensions, result.quantity(name), long_name=long_name, units="1", **with_labels)
     texts = {
-        "status": ("done, or why the member failed", [o.status for o in result.outcomes]),
-        "method": ("method that solved it", [o.method for o in result.outcomes]),
-        "broken_bounds": ("bounds that did not hold", [o.broken_bounds for o in result.outcomes]),
+        "status": ("done, or the reason of the failure", [o.status for o in result.outcomes]),
+        "method": ("method of the member", [o.method for o in result.outcomes]),
+        "broken_bounds": ("violated bounds", [o.broken_bounds for o in result.outcomes]),
     }
     for name, (long_name, values) in texts.items():
         variable = put_texts(name, dimensions, values, long_name)
@@ -239,7 +239,7 @@ def netcdf(result: Sweep) -> bytes:
             setattr(variable, attribute, value)
     if result.x is not None:
         file.createDimension("x", result.x.size)
-        long_name = "distance from the top of the slope, uphill positive"
+        long_name = "distance from the crest, positive uphill"
         put("x", "f8", ("x",), result.x, long_name=long_name, units="1", axis="X")
         nothing = np.full(result.x.size, np.nan)
         u = np.array([nothing if o.u is None else o.u for o in result.outcomes]).reshape(*result.shape, -1)
@@ -262,7 +262,7 @@ def account(result: Sweep) -> str:
     done = sum(o.done for o in result.outcomes)
     failed = [(v, o.status) for v, o in zip(result.values, result.outcomes, strict=True) if not o.done]
     counts = f"{len(result.outcomes)} members, {done} done"
-    counts += f" ({result.recalled} of them before)" if result.recalled else ""
+    counts += f" ({result.recalled} of them in an earlier sweep)" if result.recalled else ""
     lines = [f"{result.title}: {counts}, {len(failed)} failed"]
     table = [[*result.vary, *_IN_ACCOUNT]]
     for values, o in list(zip(result.values, result.outcomes, strict=True))[:SHOWN]:
@@ -277,5 +277,5 @@ def account(result: Sweep) -> str:
         lines.append(f"  first failure, at {which}: {failed[0][1]}")
     broken = sum(bool(o.broken_bounds) for o in result.outcomes)
     if broken:
-        lines.append(f"  WARNING: bounds did not hold in {broken} members; broken_bounds names them")
+        lines.append(f"  WARNING: bounds are violated in {broken} members; the column broken_bounds names them")
     return "\n".join(lines)

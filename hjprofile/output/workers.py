@@ -61,7 +61,7 @@ def processes(workers: int | None) -> Iterator[Executor]:
                     last.exception(0.5)  # the pool has then removed the cancelled calls, which would make it fail
                 _kill()  # their results are not needed
                 if isinstance(error, KeyboardInterrupt):
-                    raise RunError("interrupted; nothing was left half-written", "interrupted") from None
+                    raise RunError("interrupted; no partial file was left", "interrupted") from None
                 raise
         del executor
         gc.collect()  # a process that ends with the semaphores of a pool causes a warning

@@ -71,16 +71,18 @@ class Problem:
         object.__setattr__(self, "snapshots", _count_or_times(self.snapshots, self.end))
         if self.supply_flux and self.law.name != "rational":
             raise InputError(
-                f"supply_flux = {self.supply_flux:g} needs the law 'rational', not {self.law.name!r}: the model with a "
-                "rolling layer has no other"
+                f"supply_flux = {self.supply_flux:g} needs the law 'rational', not {self.law.name!r}, because a "
+                "rolling layer is modelled for that law only"
             )
         if self.line not in LINES:
             raise InputError(f"line = {shown(self.line)} is not known; allowed are {', '.join(map(repr, LINES))}")
         if self.supply_flux and self.line == "whole":
-            raise InputError(f"supply_flux = {self.supply_flux:g} needs line = 'half': grains that start at the top")
+            raise InputError(
+                f"supply_flux = {self.supply_flux:g} needs line = 'half', because the grains start at the crest"
+            )
         models = self._models()
         if len(models) > 1:
-            raise InputError(f"{' and '.join(models)} do not go together")
+            raise InputError(f"{' and '.join(models)} cannot be combined")
         self._check_units()
 
     def _check_units(self) -> None:
@@ -89,7 +91,8 @@ class Problem:
         known = self.coefficient.units if self.coefficient is not None else None
         if units and known and not units.same(known):
             raise InputError(
-                f"the coefficient is of a slope with {known}, and the profile has {units}; use the same units for both"
+                f"the coefficient was found for a survey with {known}, but the profile has {units}; "
+                "use the same units for both"
             )
 
     def _models(self) -> dict[str, Model]:
@@ -143,7 +146,7 @@ class Problem:
         Raise InputError if its left end cannot be determined.
         """
         if self.line == "whole":
-            raise InputError("line = 'whole' needs a grid that says where the window ends")
+            raise InputError("line = 'whole' needs a grid with the right end of the window")
         return self.profile.grid(tail=tail)
 
     @np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks reject
@@ -159,7 +162,7 @@ class Problem:
     def check_line(self, grid: Grid) -> None:
         """Raise InputError if the right end of the grid does not fit the line."""
         if self.line == "half" and grid.right:
-            raise InputError(f"right = {grid.right:g} needs line = 'whole'; on the half line the top is at x = 0")
+            raise InputError(f"right = {grid.right:g} needs line = 'whole'; on the half line the crest is at x = 0")
 
     def check_profile(self, grid: Grid) -> None:
         """Raise InputError if the profile does not fit the grid, or continues beyond a window."""

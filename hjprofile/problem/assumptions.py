@@ -13,7 +13,7 @@ from hjprofile.problem.user_code import Function, evaluating
 NO_LAW = "what-a-law-must-be"  # heading of the page on errors
 FAR = 1e100, 1e50, 1e30, 1e15  # slopes at which the limit of f' is estimated: the two largest at which f is finite
 LIMIT = 1e-10  # largest relative difference of f' at these two slopes
-CONCAVE = "f must be concave: each further bit of steepness adds less"
+CONCAVE = "f must be concave, so its slope f' must decrease"
 
 
 class _Sample(NamedTuple):
@@ -73,7 +73,11 @@ def _check_zero(f0: float) -> None:
     """Check that f(0) = 0."""
     if np.isfinite(f0) and abs(f0) <= 1e-12:
         return
-    because = "at the critical slope nothing erodes or settles" if np.isfinite(f0) else "f must be a number there"
+    because = (
+        "at the neutral slope grains are neither eroded nor deposited"
+        if np.isfinite(f0)
+        else "f must be a number there"
+    )
     raise InputError(
         f"the law is not an erosion function: f(0) = 0 fails at q = 0, where f = {f0:.6g}; {because}", NO_LAW
     )
@@ -89,8 +93,8 @@ def _limit(f: Function, derivative: Function) -> float:
     settled = far.size > 1 and far[0] > 0.0 and max(abs(far[:2] - mean[0])) <= LIMIT * far[0]
     if not (settled and mean[0]):
         raise InputError(
-            "the law has not the growth = 'linear' that it is given: its slope f' does not settle at a positive "
-            "limit as q -> infinity; leave growth out if it tends to 0"
+            "growth = 'linear' does not fit the law: its slope f' has no positive limit as q -> infinity; leave growth "
+            "out if f' tends to 0"
         )
     return float(mean[0])
 
@@ -105,7 +109,7 @@ def _check_increasing(sample: _Sample, limit: float) -> None:
     if 0 < df[middle] * (1 + 1e-6) < df[middle + 1]:
         refuse("f'' < 0", 0.0, CONCAVE)
     if flat.any():
-        turned = df[middle] < 0 and "its sign is wrong, f must be positive where q > 0"
+        turned = df[middle] < 0 and "its sign is wrong, because f must be positive for q > 0"
         refuse("f' > 0", q[np.argmax(flat)], turned or "f must increase: a steeper slope erodes more")
 
 
@@ -114,7 +118,7 @@ def _check_fall(sample: _Sample) -> None:
     """Check that f falls without bound as q -> -1."""
     slope = (1 + sample.q) * sample.df
     if slope[0] < 0.5 * np.interp(np.log(1e-4), sample.v, slope):
-        because = "no slope may become flat, so f falls without bound, as q/(1+q) does"
+        because = "a slope cannot become flat, so f must fall without bound, as q/(1+q) does"
         refuse("f -> -infinity as q -> -1", sample.q[0], because)
 
 
@@ -132,7 +136,7 @@ def _check_finite(sample: _Sample) -> None:
     broken = ~(np.isfinite(sample.f) & np.isfinite(sample.df))
     if broken.any():
         where = sample.q[np.argmax(broken)]
-        refuse("that f is finite with a derivative for every q > -1", where, "any slope may occur on the way")
+        refuse("that f is finite with a derivative for every q > -1", where, "any slope can occur during a run")
 
 
 def _check_growth(sample: _Sample) -> None:

@@ -48,7 +48,8 @@ def find_case(case: str | Path) -> Path:
     hint = did_you_mean(path.stem, names)
     folder = " (it is a folder)" if case and path.is_dir() else ""
     raise InputError(
-        f"{case}: no such file{folder}, nor a case that comes with the package{hint} (they are: {', '.join(shipped)})",
+        f"{case}: there is no such file{folder}, and no case of the package has this name{hint} "
+        f"(its cases are: {', '.join(shipped)})",
         "a-case-that-is-not-there",
     )
 
@@ -83,7 +84,7 @@ def read_choices(arguments: Sequence[str]) -> dict[str, list[Any]]:
         if not equals:
             raise InputError(f"{argument!r} must be written section.key=value,value,...", "a-sweep")
         if key in choices:
-            raise InputError(f"{key} is there twice; name all its values at once", "a-sweep")
+            raise InputError(f"{key} is given twice; list all its values at once", "a-sweep")
         word = r"(?<=,)\s*(?!(?:true|false|inf|nan)\s*,)([A-Za-z][\w./-]*)\s*(?=,)"
         for array in (text, re.sub(word, r'"\1"', f",{text},")[1:-1]):
             with suppress(ValueError, RecursionError):

@@ -72,9 +72,9 @@ class Coefficient:
     def check(self, x: Array, end: float) -> None:
         """Raise InputError unless k is known on these nodes up to `end`, and positive there at t = 0 and t = `end`."""
         if self.left > x[0] + 1e-9 * abs(x[0]):
-            raise InputError(f"the coefficient is known from x = {self.left:g} on, and the domain begins at {x[0]:g}")
+            raise InputError(f"the coefficient is known from x = {self.left:g} on, but the domain begins at {x[0]:g}")
         if self.end < end * (1.0 - 1e-9):
-            raise InputError(f"the coefficient is known until t = {self.end:g}, and the run ends at {end:g}")
+            raise InputError(f"the coefficient is known until t = {self.end:g}, but the run ends at {end:g}")
         try:
             for t in (0.0, end):
                 self.values(t, x)

@@ -310,7 +310,7 @@ def erosion_law(
     0.0
     """
     if not (growth is None or (isinstance(growth, str) and growth == LINEAR)):
-        raise InputError(f"growth = {shown(growth)} must be 'linear', or left out for a law of sublinear growth")
+        raise InputError(f"growth = {shown(growth)} must be 'linear'; leave it out for a law of sublinear growth")
     for role, function in (("f", f), ("derivative", derivative), ("inverse", inverse)):
         if not (callable(function) or (function is None and role != "f")):
             raise InputError(f"{role} = {shown(function)} must be a function of one number or array")

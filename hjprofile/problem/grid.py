@@ -87,17 +87,17 @@ class Grid:
         needed = int(self.cells) * cell
         if needed > memory:
             most = memory // cell
-            remedy = f"at most {most} cells fit" if most >= FEWEST_CELLS else "keep fewer snapshots"
+            remedy = f"at most {most} cells fit" if most >= FEWEST_CELLS else "use fewer snapshots"
             raise InputError(
                 f"cells = {self.cells} with {snapshots} snapshots needs {min(needed, 2**99) / 2**30:.3g} GiB of "
-                f"memory and this machine has {memory / 2**30:.3g}; {remedy}"
+                f"memory, but this machine has {memory / 2**30:.3g}; {remedy}"
             )
 
 
 def grid_from(start: float, cells: int) -> Grid:
     """Return a grid that begins a little left of `start`. Raise InputError if that is not a finite number."""
     if not np.isfinite(start):
-        raise InputError("left must be given: a flux enters at the left end, wherever that is")
+        raise InputError("left must be given: a flux enters at the left end of the grid")
     return Grid(1.05 * min(start, 0.0) - 0.05, cells)
 
 
@@ -115,6 +115,6 @@ def start_of(W: Callable[[np.ndarray], np.ndarray], tail: float) -> float:
     away = ~(np.abs(slope) <= max(tail, NOISE))  # NaN counts as different
     if away[0]:
         raise InputError(
-            f"left must be given: the profile is not critical (u_x = 1) at x = {x[0]:g}, but u_x = {1 + slope[0]:.6g}"
+            f"left must be given: the slope is not neutral (u_x = 1) at x = {x[0]:g}, where u_x = {1 + slope[0]:.6g}"
         )
     return float(x[np.argmax(away)]) if away.any() else 0.0

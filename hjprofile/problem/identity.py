@@ -38,8 +38,8 @@ def identity(case: Case) -> dict[str, Any]:
             content = _content(part)
             if content is None:
                 raise InputError(
-                    f"{case.source}: the {name} is a Python function of no file, so that a checkpoint cannot be "
-                    "distinguished from that of another run; name its file in a case, or save no checkpoints",
+                    f"{case.source}: the {name} is a Python function that is in no file, so a checkpoint cannot "
+                    "identify it; name its file in a case, or save no checkpoints",
                     "a-checkpoint",
                 )
             digest.update(f"{name} {content}".encode())

@@ -24,7 +24,7 @@ def moved(profile: Profile, distance: float) -> Profile:
             return replace(profile, x=profile.x + distance)
         case Given():
             return replace(profile, u=lambda x: profile.u(x - distance) + distance)
-    raise InputError(f"kind = {profile.table['kind']!r} belongs to the half line; line = 'whole' cannot take it", ABOUT)
+    raise InputError(f"kind = {profile.table['kind']!r} is for the half line only; leave line = 'whole' out", ABOUT)
 
 
 def stretched(profile: Profile, factor: float) -> Profile:
@@ -60,8 +60,7 @@ def tail(profile: Profile, right: float, law: ErosionLaw) -> float:
         beyond = 0.0  # `Profile.check` guarantees it
     if beyond > TAIL:
         raise InputError(
-            f"the slope is not critical from right = {right:g} on (q or its mass is {beyond:.3g} there); "
-            "set right to more",
+            f"the slope is not neutral from right = {right:g} on (q or its mass is {beyond:.3g} there); increase right",
             ABOUT,
         )
     return 0.0

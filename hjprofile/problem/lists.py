@@ -46,7 +46,7 @@ def same_length(**named: Array) -> None:
     (first, a), *others = named.items()
     for name, b in others:
         if a.size != b.size:
-            raise InputError(f"{name} has {b.size} entries and {first} has {a.size}; they must be as many")
+            raise InputError(f"{name} has {b.size} entries and {first} has {a.size}; both must have the same number")
 
 
 def within(grid: Grid, name: str, places: Array) -> None:

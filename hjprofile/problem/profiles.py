@@ -75,8 +75,8 @@ class Kinks(Profile):
                 W += float(law.R(before) - law.R(met))
             if not a > met:
                 raise InputError(
-                    f"amplitudes[{j}] = {a:g} must exceed the q = {met:.6g} that the kink at x = {x:g} meets: "
-                    "a kink is an upward jump of q"
+                    f"amplitudes[{j}] = {a:g} must exceed q = {met:.6g} on the left of the kink at x = {x:g}, "
+                    "because a kink is an upward jump of q"
                 )
             at.append(W)
         return at
@@ -158,7 +158,7 @@ class Points(Profile):
         if np.any(np.diff(x) < 0):
             raise InputError(f"x[{np.argmax(np.diff(x) < 0) + 1}] must not be left of the point before it")
         if np.any((np.diff(x)[1:] == 0) & (np.diff(x)[:-1] == 0)):
-            raise InputError("x holds a position three times; a jump takes two")
+            raise InputError("x holds a position three times; a jump is a position that is given twice")
         above_minus_one("q", q)
         object.__setattr__(self, "x", x)
         object.__setattr__(self, "q", q)
@@ -246,8 +246,7 @@ class Steady(Profile):
             reached = False
         if not reached:
             raise InputError(
-                f"flux = {self.flux:g} is more than the law {law.name!r} erodes at any slope; "
-                "it must be below the supremum of f"
+                f"flux = {self.flux:g} is not a value of the law {law.name!r}; it must be below the supremum of f"
             )
         super().check(grid, law)
 
@@ -289,8 +288,8 @@ class Given(Profile):
         self._check_rising(q, grid)
         if abs(q[0]) > TAIL:
             raise InputError(
-                f"the profile has q = {q[0]:.3g} at the left end x = {grid.left:g}; the slope must be critical "
-                f"(u_x = 1, q = 0 to {TAIL:g}) from there on to the left"
+                f"the profile has q = {q[0]:.3g} at the left end x = {grid.left:g}; the slope must be neutral "
+                f"(u_x = 1, q = 0 to {TAIL:g}) there and further left"
             )
 
     @np.errstate(all="ignore")  # in unused branches of the function; `check` tests the values

@@ -36,7 +36,7 @@ def _positive(least: float, most: float) -> Range:
 
 
 _PLACE = Range(-1e9, 1e9, "a finite number, at most 1e9 in size")
-_DOWNHILL = Range(-1e9, -1e-9, "a negative number: the top of the slope is at x = 0 (from -1e9 to -1e-9)")
+_DOWNHILL = Range(-1e9, -1e-9, "a negative number, because the crest is at x = 0 (from -1e9 to -1e-9)")
 _SLOPE = Range(-1e8, 1e8, "a finite number, at most 1e8 in size")
 RANGES = {  # docs/cases.md has the same table
     "end": Range(1e-300, 1e12, "a number, 0 or more, from 1e-300 to 1e12 if not 0", zero=True),

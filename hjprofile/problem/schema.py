@@ -144,7 +144,7 @@ class Table:
         """Record a missing key; remove the key of `strange` that is spelt like it."""
         near = nearest(key.name, filter(str.isprintable, strange))
         strange[:] = [name for name in strange if name != near]
-        hint = f" (is {near!r} meant for it?)" if near else ""
+        hint = f" ({near!r} is not a known key)" if near else ""
         self.error(f"{key.name} is missing{hint}; it must be {allowed or key.kind.words}", "a-key-that-is-missing")
 
 

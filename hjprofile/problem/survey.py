@@ -85,8 +85,9 @@ def survey(
     mean = float(np.ptp(height) / np.ptp(x))
     if not 1 / FAR < mean / critical_slope < FAR:
         account += (
-            f"{'; ' if account else ''}the mean slope {mean:.3g} is {mean / critical_slope:.3g} of the critical: are x "
-            "and height in one unit, and is critical_slope height over length, not an angle?"
+            f"{'; ' if account else ''}the mean slope {mean:.3g} is {mean / critical_slope:.3g} times the critical "
+            "slope; check that x and height have the same unit, and that critical_slope is height over length, not "
+            "an angle"
         )
     return Points(np.repeat(xi, 2)[1:-1], np.repeat(q, 2), units=units, height=float(u[0] - xi[0]), account=account)
 
@@ -95,7 +96,7 @@ def _check_that_it_rises(file: str, x: Array, height: Array, rows: Sequence[int]
     """Raise InputError if a survey passes a crest, has its crest at the left, or falls without a repair."""
     if (top := crest(height)) is not None:
         raise InputError(
-            f"file = {file!r} passes its crest in row {rows[top]} (x = {x[top]:g}), and a case is of one flank; keep "
+            f"file = {file!r} passes its crest in row {rows[top]} (x = {x[top]:g}), but a case has one flank; keep "
             f"rows {rows[0]} to {rows[top]}, or mirror rows {rows[top]} to {rows[-1]} (write -x for x, and the last "
             "row first)",
             DOES_NOT_RISE,
@@ -106,7 +107,7 @@ def _check_that_it_rises(file: str, x: Array, height: Array, rows: Sequence[int]
     pairs = ", ".join(f"{rows[i]}-{rows[i + 1]}" for i in falls[:MOST_ROWS])
     pairs += ", ..." if falls.size > MOST_ROWS else ""
     if upside_down:
-        remedy = "this one has its top at the left, so mirror it (write -x for x, and the last row first)"
+        remedy = "this one has its crest at the left, so mirror it (write -x for x, and the last row first)"
     else:
         most = np.max(np.abs(np.diff(height)[falls]))
         course = f"falls there by up to {most:.6g}" if most > 0.0 else "is flat there"
@@ -126,7 +127,7 @@ def _repaired(file: str, x: Array, height: Array, rows: Sequence[int], least: fl
         i = _farthest_off(height, moved, far)
         raise InputError(
             f"file = {file!r} row {rows[i]}: repair = 'isotonic' would move its height of {height[i]:g} by "
-            f"{moved[i]:.5g}, more than a tenth of all that the survey rises; correct or delete that row",
+            f"{moved[i]:.5g}, more than a tenth of the relief; correct or delete that row",
             DOES_NOT_RISE,
         )
     rounding = 1e-9 * (np.ptp(height) + least * np.ptp(x))
@@ -204,7 +205,7 @@ def read_survey(file: str | Path) -> tuple[Array, Array, list[int]]:
         except ValueError:
             message = (
                 f"file = {str(file)!r} row {n}: {line!r} must be two numbers (a comma between them, points for "
-                "decimals, no separator for thousands, no unit; a row without a height is left out)"
+                "decimals, no separator for thousands, no unit; omit a row without a height)"
             )
             raise InputError(message, FORMAT) from None
         if not (np.isfinite(x) and np.isfinite(height)):
@@ -213,7 +214,7 @@ def read_survey(file: str | Path) -> tuple[Array, Array, list[int]]:
         if values and x <= values[-1][0]:
             raise InputError(
                 f"file = {str(file)!r} row {n}: x = {x:g} must be greater than the x = {values[-1][0]:g} before it; "
-                "sort the rows by x, and keep one height for each",
+                "sort the rows by x, and keep one height per x",
                 "a-survey-whose-x-does-not-increase",
             )
         rows.append(n)
@@ -237,5 +238,5 @@ def _what_a_header_is(found: str) -> str:
     if re.search(r"[;\t]", found):
         return "columns are separated by commas, and decimals have a point"
     if re.search(r"\b(m|km|ft|feet|foot|in|yd|metres?|meters?)\b", found.replace("_", " ")):
-        return "the header names no unit: any will do, the same for x, for height and for length"
-    return "x is the horizontal distance, growing uphill, and height the elevation, in the same unit"
+        return "the header must not name a unit; x, height and length may have any unit, but the same one"
+    return "x is the horizontal distance, increasing uphill, and height the elevation, in the same unit"

@@ -233,7 +233,7 @@ def run_members(todo: Mapping[int, Member], executor: Executor | None = None) ->
     except BrokenExecutor:
         futures.clear()  # none of them will begin
         raise RunError(
-            "a worker was lost, perhaps because memory was not enough; use fewer workers, cells or snapshots"
+            "a worker was lost, perhaps because the memory was not sufficient; use fewer workers, cells or snapshots"
         ) from None
     finally:
         for future in futures:

@@ -42,7 +42,7 @@ def animation(run: Run, form: str, fps: float = FPS, progress: Callable[[float],
         raise InputError(f"an animation ends in {' or '.join(FORMS)}, not in {form!r}", "a-moving-picture")
     if not SLOWEST <= as_number(fps) <= FASTEST:
         raise InputError(
-            f"--fps {shown(fps)} must be a positive number of pictures a second, from {SLOWEST:g} to {FASTEST:g}",
+            f"--fps {shown(fps)} must be a positive number of images per second, from {SLOWEST:g} to {FASTEST:g}",
             "a-moving-picture",
         )
     ffmpeg = shutil.which("ffmpeg")
@@ -147,5 +147,5 @@ def _mp4(images: list[Array], fps: float, ffmpeg: str) -> bytes:
         done = subprocess.run(command, input=b"".join(map(np.ndarray.tobytes, shown)), capture_output=True)
         if done.returncode:
             reason = done.stderr.decode(errors="replace").strip().splitlines() or [f"exit code {done.returncode}"]
-            raise RunError(f"ffmpeg could not write the MP4: {reason[-1]}; a .gif needs no ffmpeg", "a-moving-picture")
+            raise RunError(f"ffmpeg could not write the MP4: {reason[-1]}; write a .gif instead", "a-moving-picture")
         return file.read_bytes()
