@@ -52,7 +52,7 @@ def same_length(**named: Array) -> None:
 def within(grid: Grid, name: str, places: Array) -> None:
     """Raise InputError if the last of these positions lies right of the grid."""
     if places[-1] > grid.right:
-        end = f"right = {grid.right:g}, where the window ends" if grid.right else "the top; the domain ends at x = 0"
+        end = f"right = {grid.right:g}, where the window ends" if grid.right else "the crest; the domain ends at x = 0"
         raise InputError(f"{name}[{places.size - 1}] = {places[-1]:g} lies past {end}")
 
 

@@ -64,7 +64,7 @@ def test_run_and_what_is_made_of_its_results(scene, ask, call):
 
 def test_a_run_that_fails_answers_all_the_same(scene, ask):
     document = ask("run", "scene.toml", "--cfl", "3", code=1)
-    assert document["status"].startswith("stopped at t = ") and document["end"] < 1.0
+    assert document["status"].startswith("stopped at t = ") and document["supplied"] < 1.0
 
 
 def test_bad_input_answers_on_stderr_alone(scene, call):

@@ -124,7 +124,7 @@ def test_one_sentence_where_it_cannot(result, call, monkeypatch, arguments, word
     monkeypatch.setenv("PATH", str(result))
     before = sorted(p for p in result.parent.rglob("*"))
     code, out, err = call("animate", "bump", *arguments)
-    assert (code, out) == (2, "") and words in err and err.count("\n") == err.count("(docs/errors.md#a-") == 1
+    assert (code, out) == (2, "") and words in err and err.count("\n") == err.count("(see: hjprofile explain a-") == 1
     assert sorted(p for p in result.parent.rglob("*")) == before
 
 

@@ -45,7 +45,7 @@ def test_what_is_shared():
     ("other", "words"),
     [
         (solved(150), "100 and 150 cells do not nest"),
-        (solved(100, left=-5.0), r"grids over \[-4, 0\] and \[-5, 0\] differ, so .*; set left .* to one value"),
+        (solved(100, left=-5.0), r"grids over \[-4, 0\] and \[-5, 0\] differ, so .*; set left .* to the same value"),
         (solved(100, line="whole"), r"grids over \[-4, 0\] and \[-4, 1\] differ"),  # on which x would lie elsewhere
         (dataclasses.replace(solved(100), time=solved(100).time + 0.1), "share no saved time"),
     ],
@@ -156,10 +156,10 @@ def test_the_command(results, call, monkeypatch):
     assert (results / "a" / "comparison.png").is_file() and (results / "a" / "comparison.svg").is_file()
     code, out, err = call("compare", "a", "b", "--out", "both", "--json")
     document = json.loads(out)
-    assert norms.shared_times == 9 and "9 in both, of 9 and 9 that are saved" in call("compare", "a", "b")[1]
+    assert norms.shared_times == 9 and "9 shared, of 9 and 9 saved times" in call("compare", "a", "b")[1]
     assert document == norms._asdict() | {"files": ["both/comparison.png", "both/comparison.svg"]}
     code, out, err = call("compare", "a", "c", "--out", "none")
-    assert (code, out) == (2, "") and err.count("\n") == err.count("(docs/errors.md#a-") == 1 and "do not nest" in err
+    assert (code, out) == (2, "") and err.count("\n") == err.count("(see: hjprofile explain a-") == 1 and "do not nest" in err
     assert not (results / "none").exists()
     for name, cells in (("d", 100), ("e", 400)):
         write_run(dataclasses.replace(solved(cells), units=UNITS), name, vtk=False, plots=False)

@@ -70,7 +70,7 @@ def test_errors_are_those_of_all_times(monkeypatch):
     assert min(p.error_q_l1 for p in points if p.method in ("godunov", "lax-friedrichs", "conservative")) > 1e-4
     for still in (replace(left, end=8.0), replace(left, profile=hj.steps([-2.0, -1.0], [0.0]))):
         with pytest.raises(
-            hj.InputError, match=r"left: the slope is critical at t = \S+, where errors are measured first"
+            hj.InputError, match=r"left: the slope is neutral from the first measurement on, at t = \S+, so every"
         ):
             hj.chart("left", still, hj.Grid(-2.0, 100))
 
