@@ -167,7 +167,7 @@ def run_member(member: Member) -> Outcome:
             )
         run = solve_case(case)
     except MemoryError:
-        return Outcome("the machine's memory is not enough; use fewer workers, cells or snapshots")
+        return Outcome("the memory of this machine is not sufficient; use fewer workers, cells or snapshots")
     except (InputError, RunError) as error:
         return Outcome(str(error))
     except Exception as error:  # a user's law may raise anything

@@ -160,7 +160,7 @@ def gentle(tmp_path):
 def test_two_that_cannot_be_told_apart_are_named(gentle, coarse):
     path, x, height = gentle
     found = hj.fit(path, x, height, ["time.end", "profile.length"])
-    assert "time.end and profile.length cannot be told apart" in found.warnings[0]
+    assert "time.end and profile.length cannot be distinguished" in found.warnings[0]
     assert all(np.isnan([p.low, p.high]).all() for p in (*found.parameters, found.volume))
     assert found.correlation[0, 1] < -0.999
     end, length = (p.value for p in found.parameters)
@@ -193,7 +193,7 @@ def test_surveys_that_do_not_belong_together_are_told(slope, coarse, tmp_path):
     feet = hj.fit(path, 3.28 * x, 3.28 * (height + 100.0), ["time.end"])
     assert feet.left_out == 28
     beyond, residuals = feet.warnings[-2:]
-    assert "28 of the 41 points of the survey after lie beyond the slope" in beyond and "in one unit" in residuals
+    assert "28 of the 41 points of the survey after lie beyond the slope" in beyond and "the same unit, datum and location" in residuals
     for shift in (100.0, -30.0):  # the change itself is 42 at most
         shifted = hj.fit(path, x, height + shift, ["time.end"])
         assert "with one datum" in shifted.warnings[-1] and shifted.left_out == 0
@@ -208,7 +208,7 @@ def test_surveys_that_do_not_differ_are_told(slope, coarse):
     before = calibration._Model(path, ["time.end"]).before(x)
     assert before == pytest.approx(np.interp(x, *np.loadtxt(io.StringIO(BEFORE), delimiter=",", skiprows=1).T))
     warning = hj.fit(path, x, before, ["time.end"]).warnings[-1]
-    assert re.fullmatch("the surveys do not differ: by .* r.m.s., is within rounding; no parameter can be fitted", warning)
+    assert re.fullmatch("the surveys do not differ: their difference, .* r.m.s., is within rounding; no parameter can be fitted", warning)
     noisy = before + 0.5 * np.random.default_rng(4).standard_normal(x.size)
     assert "which is within sigma" in hj.fit(path, x, noisy, ["time.end"], sigma=0.5).warnings[-1]
     assert "do not differ" not in "".join(hj.fit(path, x, noisy, ["time.end"], sigma=0.2).warnings)
@@ -218,7 +218,7 @@ def test_a_model_that_does_not_meet_the_survey_is_told(slope, coarse):
     """A slide of 5 m that no erosion law makes, where 0.5 m is claimed."""
     path, x, height = slope
     found = hj.fit(path, x, height - 5.0 * np.exp(-(((x - 500.0) / 50.0) ** 2)), ["time.end"], sigma=0.5)
-    assert "does not meet the survey" in found.warnings[0] and found.chi2 > 3.0 * found.degrees_of_freedom
+    assert "does not fit the survey after" in found.warnings[0] and found.chi2 > 3.0 * found.degrees_of_freedom
 
 
 def test_points_beyond_the_slope_are_left_out(slope, coarse):

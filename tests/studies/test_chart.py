@@ -144,7 +144,7 @@ def test_command(tmp_path, monkeypatch, capsys):
     assert {row["method"] for row in rows} == set(METHODS) - {"auto"}
     assert all(float(row["error_q_l1"]) >= 0.0 and int(row["cells"]) > 0 for row in rows)
     assert Path("there/chart.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
-    assert "against the closed form" in out and "  fronts " in out
+    assert "reference: the closed form" in out and "  fronts " in out
     with pytest.raises(SystemExit) as ended:
         cli.main(["chart"])
     assert ended.value.code == 2 and "chart needs at least one CASE" in capsys.readouterr().err
