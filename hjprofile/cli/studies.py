@@ -143,6 +143,6 @@ def _written(folder: ResultFolder, files: list[Path], picture: Written) -> str:
 
 def _point(p: Point, reference: Reference) -> str:
     """Return a line of the account, with `<` before an error that is not above the error of the reference."""
-    q = f"{'<' * (p.error_q_l1 <= reference.error_q):>1}{p.error_q_l1:7.1e}"
-    u = f"{'<' * (p.error_u_sup <= reference.error):>1}{p.error_u_sup:7.1e}"
+    q = f"{'<' * bool(p.error_q_l1 <= reference.error_q):>1}{p.error_q_l1:7.1e}"
+    u = f"{'<' * bool(p.error_u_sup <= reference.error):>1}{p.error_u_sup:7.1e}"
     return f"  {p.method:22} {p.cells:6}  {q} of q  {u} of u  {p.seconds:.2g} s"

@@ -36,7 +36,7 @@ class Units:
 
     def __str__(self) -> str:
         return (
-            f"length = {self.length:g}, critical_slope = {self.critical_slope:g}, top at x = {self.x_top:g}, "
+            f"length = {self.length:g}, critical_slope = {self.critical_slope:g}, crest at x = {self.x_top:g}, "
             f"height {self.height_top:g}"
         )
 

@@ -308,7 +308,8 @@ def test_check_fails_and_says_where(folder, call, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("raised", "words"), [(KeyboardInterrupt(), "interrupted"), (MemoryError(), "memory of this machine is not sufficient")]
+    ("raised", "words"),
+    [(KeyboardInterrupt(), "interrupted"), (MemoryError(), "memory of this machine is not sufficient")],
 )
 def test_what_stops_a_run_from_outside(folder, call, monkeypatch, raised, words):
     def stopped(*_):

@@ -163,5 +163,7 @@ def test_a_coefficient_is_of_the_same_slope(tmp_path):
     assert K.units == slope.units and not K.units.same(units)
     assert dataclasses.replace(problem, coefficient=K).coefficient is K
     other = dataclasses.replace(slope, units=dataclasses.replace(slope.units, length=24.0))
-    with pytest.raises(hj.InputError, match=r"the coefficient was found for a survey with length = 12, .* has length = 24, "):
+    with pytest.raises(
+        hj.InputError, match=r"the coefficient was found for a survey with length = 12, .* has length = 24, "
+    ):
         dataclasses.replace(problem, profile=other, coefficient=K)

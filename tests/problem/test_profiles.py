@@ -396,7 +396,9 @@ WRONG = {  # row -> height
 def test_a_height_that_is_none_is_not_repaired_but_named(tmp_path, wrong):
     """One row of those that are wrong, although each takes its neighbours along."""
     rows = [(x, wrong.get(i, height)) for i, (x, height) in enumerate(RISING, start=2)]
-    with pytest.raises(InputError, match=r"row .* would move its height of .*, more than a tenth of the relief") as refused:
+    with pytest.raises(
+        InputError, match=r"row .* would move its height of .*, more than a tenth of the relief"
+    ) as refused:
         survey(write(tmp_path, rows), 0.6, 50.0, "isotonic")
     (row,) = re.findall(r" row (\d+): ", str(refused.value))
     assert int(row) in wrong and f"its height of {wrong[int(row)]:g} by" in str(refused.value)
@@ -508,7 +510,10 @@ BAD_ARGUMENTS = [
     (lambda: steps([-2.0, -1.0, 0.0], [1.0, -1.0]), "values[1] = -1 must be above -1"),
     (lambda: points([-1.0], [1.0]), "x = "),
     (lambda: points([-1.0, -2.0], [1.0, 1.0]), "x[1] must not be left of the point before it"),
-    (lambda: points([-1.0, -1.0, -1.0], [1.0, 2.0, 3.0]), "x holds a position three times; a jump is a position that is given twice"),
+    (
+        lambda: points([-1.0, -1.0, -1.0], [1.0, 2.0, 3.0]),
+        "x holds a position three times; a jump is a position that is given twice",
+    ),
     (lambda: points([-1.0, 1.0], [1.0, 2.0]).check(GRID, log()), "x[1] = 1 lies past the crest"),
     (lambda: points([-2.0, -1.0], [0.0, -1.5]), "q[1] = -1.5 must be above -1"),
     (lambda: points([-2.0, -1.0], [0.0]), "q = "),

@@ -40,7 +40,7 @@ def test_with_one_prescribed_coefficient_no_distance_grows(k, monkeypatch):
     steady = not (isinstance(k, str) and "t" in k)  # the function of t and x does not depend on t
     assert (sentences[3] == "refresh      not applicable: the coefficient is constant in time") == steady
     assert bool(of(found, "refresh")) != steady
-    assert len(draw_dependence(found).axes) == 4
+    assert len(draw_dependence(found).axes) == 4 + (not steady)  # with an axis for the distance of kinks
 
 
 def test_a_pair_takes_the_same_time_steps():
@@ -161,7 +161,7 @@ def test_other_models_are_refused_by_their_case(name, words):
 
 def test_the_picture_shows_every_pair(distances):
     panels = draw_dependence(distances).axes
-    assert len(panels) == 4
+    assert len(panels) == 5  # the last is the axis for the distance of kinks
     pairs = len({d.member for d in of(distances, "data")})
     assert len([line for line in panels[0].lines if len(line.get_xdata()) == study.MOMENTS]) == pairs
     shown = sum(len(line.get_xdata()) for line in panels[2].lines[:-1])

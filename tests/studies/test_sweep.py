@@ -293,7 +293,10 @@ def test_whatever_a_users_law_raises_is_the_members_own(in_tmp, monkeypatch):
 
     monkeypatch.setattr(evidence, "solve_case", faulty)
     statuses = [o.status for o in hj.sweep(write_case(in_tmp), {"time.end": [0.4, 0.5, 0.6]}).outcomes]
-    assert statuses[:2] == ["done", "KeyError: 'no such slope'"] and "memory of this machine is not sufficient" in statuses[2]
+    assert (
+        statuses[:2] == ["done", "KeyError: 'no such slope'"]
+        and "memory of this machine is not sufficient" in statuses[2]
+    )
 
 
 def test_broken_bounds_are_named(scene, call, alone):

@@ -81,7 +81,8 @@ def frames(run: Run) -> Iterator[Array]:
 def _scene(run: Run) -> tuple[Figure, list[Any], Callable[[int], None]]:
     """Return the figure, its moving artists in drawing order, and the function that shows a saved time."""
     x, u, x_label, u_label = style.axes_units(run, run.units)
-    figure = style.sheet(run.title, style.about(run), 2, 3.9, right=0.16)
+    unit = [f"areas and supplied volume per width in {style.SURVEY}²"] if run.units else []
+    figure = style.sheet(run.title, style.about(run) + unit, 2, 3.9, right=0.16)
     figure.set_dpi(DPI)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
     shades = [PolyCollection([], fc=colour, alpha=0.4, lw=0) for colour in (ERODED, DEPOSITED)]
@@ -115,10 +116,13 @@ def _scene(run: Run) -> tuple[Figure, list[Any], Callable[[int], None]]:
             trail.set_data(at[index <= i], heights[index <= i])
         dots[0].set_data(*style.dots_on(run, i, x, u[i]))
         areas = style.change_of(u[i], u[0], x)
-        words = f"poured in {amount(volume * run.time[i])} of {amount(volume * run.time[-1])}", "eroded", "deposited"
+        words = f"supplied {amount(volume * run.time[i])} of {amount(volume * run.time[-1])}", "eroded", "deposited"
         for text, word, area in zip(texts, words, ("", *map(amount, areas)), strict=True):
             text.set_text(f"{word} {area}")
 
+    for i in (run.time.size - 1, 0):  # the letters avoid both
+        show(i)
+    style.letter_panels([top, bottom])
     return figure, [*shades, *trails, profile, *dots, slope, *texts], show
 
 

@@ -46,8 +46,9 @@ def pictures(
 def draw_profiles(run: Run) -> Figure:
     """Draw the profiles with erosion, deposition and kinks; the change of height; q."""
     x, u, x_label, u_label = axes_units(run, run.units)
-    keys = _keys_of_change(u[-1], u[0], x) + [_KINK] * bool(run.kinks)
-    figure = style.sheet(run.title, style.about(run), bool(keys), 4.9)
+    keys = _keys_of_change(u[-1], u[0], x, f" {style.SURVEY}²" if run.units else "") + [_KINK] * bool(run.kinks)
+    rows = -(-len(keys) // (2 if run.units else 3))
+    figure = style.sheet(run.title, style.about(run), rows, 4.9)
     top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
     shown, colour = style.shown_times(run)
     _shade(top, x, u[0], u[-1])
@@ -61,11 +62,12 @@ def draw_profiles(run: Run) -> Figure:
             axes.plot(at, height, color=INK, lw=0.6, zorder=2.5)
         for i in shown:
             axes.plot(*style.dots_on(run, i, x, heights[i]), **DOT, ls="none", zorder=3)
-    style.legend_above(figure, keys)
+    style.legend_above(figure, keys, max(rows, 1))
     top.set_ylabel(u_label)
-    middle.set_ylabel("change of height")
+    middle.set_ylabel(style.of_height("change of height", run.units))
     style.axis_of_q(bottom, run)
     style.axis_of_x(bottom, x, x_label)
+    style.letter_panels([top, middle, bottom])
     figure.align_ylabels([top, middle, bottom])
     style.bar_of_times(figure, run)
     return figure
@@ -74,12 +76,12 @@ def draw_profiles(run: Run) -> Figure:
 _KINK = Line2D([], [], color=INK, lw=0.6, label="kink", **DOT)
 
 
-def _keys_of_change(u: Array, first: Array, x: Array) -> list[Any]:
+def _keys_of_change(u: Array, first: Array, x: Array, unit: str) -> list[Any]:
     """Return the keys of a legend for erosion and deposition."""
     eroded, deposited = change_of(u, first, x)
     least = LEAST_CHANGE * float(np.ptp(first) * np.ptp(x))
     parts = ((ERODED, "eroded", eroded), (DEPOSITED, "deposited", deposited))
-    return [Patch(fc=c, alpha=0.4, label=f"{name} (area {amount(a)})") for c, name, a in parts if a > least]
+    return [Patch(fc=c, alpha=0.4, label=f"{name} (area {amount(a)}{unit})") for c, name, a in parts if a > least]
 
 
 def _shade(axes: Axes, x: Array, before: Array | float, after: Array) -> list[Any]:
@@ -135,6 +137,10 @@ def draw_diagram(run: Run) -> Figure:
         if marks:
             at = scale(np.array([e.x for e in marks]))
             axes.plot(at, [unit * e.time for e in marks], **marker, clip_on=False, zorder=3)
+    lost = [path for number, path in kink_paths(run).items() if number in unresolved(run)]
+    if lost:
+        ends = scale(np.array([path.x[-1] for path in lost])), [unit * path.time[-1] for path in lost]
+        axes.plot(*ends, **_UNRESOLVED, zorder=3)
     style.legend_above(figure, keys, rows)
     axes.set_ylabel(t_label)
     axes.yaxis.set_major_formatter(numbers)
@@ -150,6 +156,7 @@ _EVENTS: dict[str, dict[str, Any]] = {
     "merge": _MARK | {"marker": "^"},
     "exit": _MARK | {"marker": "s"},
 }
+_UNRESOLVED: dict[str, Any] = {"ls": "none", "marker": "x", "ms": 4.5, "mec": INK, "mew": 1.0}
 
 
 def _keys_of_diagram(run: Run, traced: bool) -> list[Any]:
@@ -157,7 +164,15 @@ def _keys_of_diagram(run: Run, traced: bool) -> list[Any]:
     lines = ((run.kinks, 1.3, "kink"), (run.vertical_steps, 2.6, "vertical step"), (traced, 0.45, "characteristic"))
     keys = [Line2D([], [], color=INK, lw=width, label=label) for there, width, label in lines if there]
     there = {e.event for e in run.events}
-    return keys + [Line2D([], [], label=k, **m) for k, m in _EVENTS.items() if k in there]
+    keys += [Line2D([], [], label=k, **m) for k, m in _EVENTS.items() if k in there]
+    return keys + [Line2D([], [], label="unresolved", **_UNRESOLVED)] * bool(unresolved(run))
+
+
+def unresolved(run: Run) -> set[int]:
+    """Return the numbers of the kinks that end before the last time without an event."""
+    ended = {e.kink for e in run.events if e.event != "birth"}
+    last = {number: path.time[-1] for number, path in kink_paths(run).items()}
+    return {number for number, time in last.items() if time < run.time[-1] and number not in ended}
 
 
 def _norm_of_q(run: Run) -> TwoSlopeNorm:
@@ -217,7 +232,7 @@ def draw_factor(run: Run) -> Figure:
         axes.set_yscale("log")
         style.plain_numbers(axes.yaxis)
     axes.axhline(1.0, color="0.6", lw=0.6, zorder=0)
-    axes.set_ylabel(_FACTORS[next((key for key in _FACTORS if key in run.case), "")])
+    axes.set_ylabel(_FLUXES["coefficient" if "coefficient" in run.case else ""])
     style.axis_of_x(axes, x, x_label)
     marks = Line2D([], [], ls="none", label="kink", **DOT)
     style.legend_above(figure, [marks] * bool(run.kinks))
@@ -225,4 +240,5 @@ def draw_factor(run: Run) -> Figure:
     return figure
 
 
-_FACTORS: dict[str, str] = {"coefficient": "coefficient k", "layer": "flux of grains K", "": "factor K"}
+_FLUX = "grain flux K\nrelative to the supply"
+_FLUXES: dict[str, str] = {"coefficient": "coefficient k", "": _FLUX}

@@ -38,11 +38,15 @@ def draw_chart(charts: Mapping[str, tuple[Sequence[Point], Reference]]) -> Figur
     """Draw error against run time, a row for each case: sup|u| on the left, ∫|q| on the right with its Pareto front."""
     figure = new_figure(10.0, 4.6 * len(charts))
     rows = figure.subplots(len(charts), 2, squeeze=False)
+    letters = iter("abcdefghijklmnopqrstuvwxyz" * len(charts))
     for (case, (points, reference)), row in zip(charts.items(), rows, strict=True):
         for axes, error, label in zip(
             row,
             ("error_u_sup", "error_q_l1"),
-            ("sup |u - exact u|", "∫ |q - exact q| dx, the largest of five times"),
+            (
+                "$\\Vert u - u_{exact}\\Vert_\\infty$, largest of five times",
+                "$\\Vert q - q_{exact}\\Vert_1$, largest of five times",
+            ),
             strict=True,
         ):
             for method in dict.fromkeys(p.method for p in points):
@@ -50,25 +54,26 @@ def draw_chart(charts: Mapping[str, tuple[Sequence[Point], Reference]]) -> Figur
                 carried = METHODS[method].carries
                 colour, marker = _LOOKS[carried or method]
                 light = {"alpha": 0.35, "mfc": "none", "ls": ":"} if carried else {}
-                name = "the same, conservative-..." if carried else method
+                name = "the same flux, conservative-..." if carried else method
                 known = name in axes.get_legend_handles_labels()[1]
                 (line,) = axes.loglog(*np.array(mine).T, color=colour, marker=marker, ms=4, lw=1.0, **light)
                 line.set_label("_" if known else name)
-            axes.set_xlabel("seconds of time stepping")
+            axes.set_xlabel("run time of the time stepping (s)")
             axes.set_ylabel(label)
             axes.grid(alpha=0.25, lw=0.5)
             least = reference.error if error == "error_u_sup" else reference.error_q
             if least > 0.0:
-                axes.axhline(least, color="0.5", lw=0.8, ls="--")
+                axes.axhline(least, color="0.5", lw=0.8, ls="--", label="error of the reference")
         front = pareto(points)
         row[1].step(
             [p.seconds for p in front], [max(p.error_q_l1, 1e-16) for p in front],
             where="post", color="0.25", lw=4.0, alpha=0.25, marker="o", ms=9, label="Pareto front",
         )  # fmt: skip
-        row[0].set_title(case, loc="left", fontweight="bold", parse_math=False)
-        against = f"against {reference.name}"
+        row[0].set_title(f"({next(letters)}) {case}", loc="left", fontweight="bold", parse_math=False)
+        row[1].set_title(f"({next(letters)})", loc="left", fontweight="bold")
+        against = f"reference: {reference.name}"
         if reference.error > 0.0:
-            against += f", u to {reference.error:.0e}, q to {reference.error_q:.0e} (dashed)"
+            against += f", error of u {reference.error:.0e}, of q {reference.error_q:.0e}"
         row[1].set_title(against, loc="right", fontsize=8, color="0.35")
     handles, labels = rows[0][1].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right upper", fontsize=8, frameon=False)
@@ -79,11 +84,11 @@ _OUTCOMES = {HOLDS: ("#0072B2", "o"), LOSES: ("#E69F00", "s"), OSCILLATES: ("#CC
 _AXES = {  # parameter -> title, logarithmic
     "cfl": ("CFL number Δt max(K f')/Δx", False),
     "viscosity": ("viscosity α / max(K f') at CFL number ...", False),
-    "refresh": ("steps that share a K", True),
+    "refresh": ("time steps with one K", True),
     "reconstruction": ("edge values (K and fluxes upwind)", False),
-    "least 1 + q": ("least 1 + q, in a hollow", True),
+    "least 1 + q": ("inf (1 + q), in a hollow", True),
     "largest |ln K|": ("largest |ln K| = |∫ f dx|", True),
-    "left end": ("left end of the grid", False),
+    "left end": ("left end of the grid (exchange lengths)", False),
 }
 
 
@@ -110,6 +115,7 @@ def draw_stability(trials: Sequence[Trial]) -> Figure:
         [["cfl", "viscosity"], ["least 1 + q", "largest |ln K|"], ["refresh", "reconstruction"], ["left end", "key"]],
         height_ratios=[7, 7, 2.2, 2.2],
     )
+    letters = dict(zip((name for name in places if name in panels), "abcdefg", strict=False))
     for parameter, mine in panels.items():
         axes, rows = places[parameter], list(dict.fromkeys(map(row_of, mine)))
         title, logarithmic = _AXES[parameter]
@@ -136,7 +142,7 @@ def draw_stability(trials: Sequence[Trial]) -> Figure:
             axes.set_xlim(-0.5, len(words) - 0.5)
         axes.set_yticks(range(len(rows)), rows)
         axes.set_ylim(len(rows) - 0.4, -0.6)
-        axes.set_title(title, fontsize=10, loc="left")
+        axes.set_title(f"({letters[parameter]}) {title}", fontsize=10, loc="left")
         axes.grid(axis="x", alpha=0.25, lw=0.5)
     key = places["key"]
     key.axis("off")
@@ -148,12 +154,10 @@ def draw_stability(trials: Sequence[Trial]) -> Figure:
     }
     for outcome, (colour, marker) in _OUTCOMES.items():
         key.plot([], [], marker, color=colour, ms=6, mew=0, label=names[outcome])
-    key.plot([], [], color="0.3", lw=1.2, label="limit by theory, for any data")
+    key.plot([], [], color="0.3", lw=1.2, label="proved limit, for any data")
     key.plot([], [], color="0.3", lw=1.2, ls=":", label="α = Δx/Δt")
     key.legend(loc="center", fontsize=9, frameon=False)
-    figure.suptitle(
-        f"Where methods hold and where they fail: {trials[0].case}", fontsize=12, x=0.01, ha="left", parse_math=False
-    )
+    figure.suptitle(f"Limits of stability: {trials[0].case}", fontsize=12, x=0.01, ha="left", parse_math=False)
     return figure
 
 
@@ -182,7 +186,7 @@ def draw_dependence(distances: Sequence[Distance]) -> Figure:
         for member in dict.fromkeys(d.member for d in mine):
             t, y = np.array([(d.time, d.distance / d.size) for d in mine if d.member == member]).T
             panel.plot(t, np.where(y > 1e-3, y, np.nan), color=shades[rank[member]], lw=0.9, alpha=0.7)
-        panel.set_xlabel("t")
+        panel.set_xlabel("supplied mass t")
         panel.grid(alpha=0.25, lw=0.5)
     L = observed_constant(studies["data"])
     t = np.linspace(0.0, max(d.time for d in distances), 200)
@@ -192,20 +196,24 @@ def draw_dependence(distances: Sequence[Distance]) -> Figure:
     low, high = axes["data"].get_ylim()
     axes["data"].plot(t, np.exp(L * t), color="0.3", lw=1.2, ls="--", label=f"$e^{{Lt}}$, L = {L:.3g}")
     axes["data"].set_ylim(low, 1.5 * high)
-    axes["data"].set_title("two slopes: ‖q - q̃‖₁ / ‖q - q̃‖₁(0)", loc="left", fontsize=10)
+    axes["data"].set_title("(a) two slopes", loc="left", fontsize=10)
     for rank_, shade in shades.items():
         axes["data"].plot([], [], color=shade, label=f"‖q - q̃‖₁(0) about {10.0**rank_:g}")
+    axes["data"].set_ylabel("‖q - q̃‖₁(t) / ‖q - q̃‖₁(0)")
+    axes["zero"].set_ylabel("‖q‖₁(t) / ‖q‖₁(0)")
     axes["zero"].axhline(1.0, color="0.3", lw=1.2, ls="--", label="L = 0")
-    axes["zero"].set_title("a slope and the critical one: ‖q‖₁ / ‖q‖₁(0)", loc="left", fontsize=10)
+    axes["zero"].set_title("(b) a slope and the neutral slope (colours as in a)", loc="left", fontsize=10)
     names = {
-        "coefficient": ("coefficients k and k(1 + δ ...): largest ‖q - q̃‖₁", "δ"),
-        "refresh": ("K frozen over fractional steps: mean ‖q - q̃‖₁, kinks", "fractional step Δt"),
+        "coefficient": ("(c) coefficients k and k(1 + δ ...)", "relative disturbance δ", "largest ‖q - q̃‖₁"),
+        "refresh": ("(d) K frozen over fractional steps", "fractional step Δt (supplied mass)", "mean ‖q - q̃‖₁"),
     }
-    for study, (title, label) in names.items():
+    for study, (title, label, distance) in names.items():
         panel = axes[study]
         panel.set_title(title, loc="left", fontsize=10)
         if study not in studies:
-            panel.text(0.5, 0.5, "none: the coefficient does not change", ha="center", transform=panel.transAxes)
+            panel.text(
+                0.5, 0.5, "not applicable: the coefficient is constant in time", ha="center", transform=panel.transAxes
+            )
             panel.set_axis_off()
             continue
         size, largest = np.array(list(largest_distances(distances, study).values())).T
@@ -214,11 +222,15 @@ def draw_dependence(distances: Sequence[Distance]) -> Figure:
             panel.loglog(np.unique(size)[::-1], each, ".-", color=_SHADES[0], ms=5, lw=0.8, alpha=0.8)
         if study == "refresh":
             kinks = np.array(list(largest_distances(distances, "refresh kinks").values()))
-            panel.loglog(*kinks.T, ".-", color=_SHADES[1], ms=5, lw=0.8, label="distance of kinks")
+            if kinks.size:
+                other = panel.twinx()
+                other.loglog(*kinks.T, ".-", color=_SHADES[1], ms=5, lw=0.8)
+                other.set_ylabel("mean distance of kinks (exchange lengths)", color=_SHADES[1])
         panel.loglog(size, largest[least].mean() * size / size.min(), color="0.3", lw=1.2, ls="--", label="first order")
         panel.set_xticks(np.unique(size), [f"{value:.3g}" for value in np.unique(size)])
         panel.xaxis.set_minor_formatter(NullFormatter())
         panel.set_xlabel(label)
+        panel.set_ylabel(distance, color=_SHADES[0])
         panel.grid(alpha=0.25, lw=0.5)
     for panel in axes.values():
         if panel.lines:
@@ -255,15 +267,17 @@ def draw_fit(found: Calibration) -> Figure:
     middle.plot(x, after - before, color=DEPOSITED, lw=1.1)
     middle.plot(found.x, found.measured - start, **points)
     wide = 1.96 * found.sigma
-    keys.append(bottom.axhspan(-wide, wide, color="0.9", lw=0, label="±1.96 sigma"))
+    keys.append(bottom.axhspan(-wide, wide, color="0.9", lw=0, label="±1.96 σ"))
     bottom.plot(found.x, found.measured - found.modelled, **points)
     for axes in (middle, bottom):
         axes.axhline(0.0, color="0.6", lw=0.6, zorder=0)
     style.legend_above(figure, keys)
     survey = found.case["profile"]["kind"] == "survey"
-    top.set_ylabel("height (survey)" if survey else "height u")
-    middle.set_ylabel("change of height")
-    bottom.set_ylabel("measured - fitted")
-    style.axis_of_x(bottom, x, "x (units of the survey)" if survey else "x (in exchange lengths)")
+    unit = f" ({style.SURVEY})" if survey else ""
+    top.set_ylabel(f"height{unit or ' u'}")
+    for axes, words in ((middle, "change of height"), (bottom, "measured - fitted")):
+        axes.set_ylabel(words + unit.replace(" (", "\n("))
+    style.axis_of_x(bottom, x, f"x{unit or ' (exchange lengths)'}")
+    style.letter_panels([top, middle, bottom])
     figure.align_ylabels([top, middle, bottom])
     return figure

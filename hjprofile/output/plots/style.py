@@ -31,7 +31,7 @@ from hjprofile.solvers.run import Array, Run
 WIDTH, FONT, DPI = 5.0, 9.0, 216  # inches, points, dots per inch: 323 of these in a column of 85 mm
 TITLE, LINE = 10.5, 0.17  # points; inches from one line of text to the next
 TOO_LONG = 46, 66  # largest number of characters of a title and of a line below it
-LEFT = 0.8  # left margin in inches
+LEFT = 0.92  # left margin in inches
 LINES = 7  # number of profiles that are drawn; more would hide each other
 DOTS = 7  # number of kinks with a dot, the strongest: every point of a noisy survey can be a kink
 
@@ -39,6 +39,8 @@ DOTS = 7  # number of kinks with a dot, the strongest: every point of a noisy su
 ERODED, DEPOSITED = "#D55E00", "#0072B2"
 TWO_RUNS = "#0072B2", "#E69F00"
 INK, PALE = "#1a1a1a", "0.45"
+CORNERS = (0.0, 1.0), (1.0, 0.0), (1.0, 1.0), (0.0, 0.0)  # of a panel, in the order of preference
+SURVEY = "survey units"  # the unit of a survey, which a case does not name
 DOT: dict[str, Any] = {"marker": "o", "ms": 2.6, "mfc": "white", "mec": INK, "mew": 0.6}  # a kink
 EXCESS = "RdBu_r"  # of q: red for erosion, blue for deposition
 TIMES: Colormap = LinearSegmentedColormap.from_list("times", colormaps["viridis"](np.linspace(0.0, 0.88, 256)))
@@ -153,6 +155,27 @@ def plain_numbers(axis: Axis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
+def letter_panels(panels: Sequence[Axes]) -> None:
+    """Write (a), (b), ... into the emptiest corners of panels, whose lines are drawn and whose limits are set."""
+    for letter, axes in zip("abcdefgh", panels, strict=False):
+        curves = [np.column_stack(np.broadcast_arrays(*line.get_data())).astype(float) for line in axes.lines]
+        at = axes.transAxes.inverted().transform(axes.transData.transform(np.concatenate([np.empty((0, 2)), *curves])))
+
+        def crowd(corner: tuple[float, float], at: Array = at) -> int:
+            return int(np.count_nonzero(np.all(np.abs(at - corner) < (0.1, 0.25), axis=1)))
+
+        x, y = min(CORNERS, key=crowd)
+        axes.annotate(
+            f"({letter})", (x, y), xycoords="axes fraction", xytext=(4.0 - 8.0 * x, 4.0 - 8.0 * y),
+            textcoords="offset points", ha="right" if x else "left", va="top" if y else "bottom", fontweight="bold",
+        )  # fmt: skip
+
+
+def of_height(words: str, units: Units | None) -> str:
+    """Return the label of an axis of heights or their differences, in two lines if it has a unit."""
+    return f"{words}\n({SURVEY})" if units else words
+
+
 def about(run: Run) -> list[str]:
     """Return the lines below the title: the method, and the reason if a run stopped early."""
     return [f"{run.method}, {run.cells} cells", *([] if run.done else [run.status])]
@@ -161,9 +184,9 @@ def about(run: Run) -> list[str]:
 def axes_units(run: Run, units: Units | None) -> tuple[Array, Array, str, str]:
     """Return x and u in the survey's units if there is one, and the labels of the axes."""
     if units:
-        return units.x(run.x), units.height(run.u), "x (units of the survey)", "height (survey)"
-    top = "" if run.x[-1] else "; the top is at 0"
-    return run.x, run.u, f"x (in exchange lengths{top})", "height u"
+        return units.x(run.x), units.height(run.u), f"x ({SURVEY})", f"height ({SURVEY})"
+    crest = "" if run.x[-1] else "; crest at 0"
+    return run.x, run.u, f"x (exchange lengths{crest})", "height u"
 
 
 def axis_of_x(axes: Axes, x: Array, label: str) -> None:
@@ -196,7 +219,7 @@ def axis_of_time(time: Array, units: Units | None) -> tuple[float, str, Callable
     """
     unit = units.volume if units else 1.0
     many = unit * float(time[-1]) >= 1e5  # so many digits do not fit
-    label = "poured in: volume per width" if units else "t: mass of grains poured in"
+    label = f"supplied, per width ({SURVEY}²)" if units else "supplied mass t"
     return unit, label, lambda v, _: f"{v:.3g}".replace("e+0", "e") if many else f"{v:,g}"
 
 
