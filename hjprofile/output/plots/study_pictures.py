@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from itertools import cycle
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter, NullFormatter
 
@@ -178,31 +179,7 @@ def draw_dependence(distances: Sequence[Distance]) -> Figure:
         studies.setdefault(d.study, []).append(d)
     figure = new_figure(10.0, 7.6)
     axes = dict(zip(("data", "zero", "coefficient", "refresh"), figure.subplots(2, 2).flat, strict=True))
-    for study in ("data", "zero"):
-        mine, panel = studies[study], axes[study]
-        sizes = np.array([[d.member, d.size] for d in studies["data"]])
-        rank = {m: int(np.log10(sizes[sizes[:, 0] == m, 1][0])) for m in np.unique(sizes[:, 0])}
-        shades = dict(zip(sorted(set(rank.values())), _SHADES, strict=False))
-        for member in dict.fromkeys(d.member for d in mine):
-            t, y = np.array([(d.time, d.distance / d.size) for d in mine if d.member == member]).T
-            panel.plot(t, np.where(y > 1e-3, y, np.nan), color=shades[rank[member]], lw=0.9, alpha=0.7)
-        panel.set_xlabel("supplied mass t")
-        panel.grid(alpha=0.25, lw=0.5)
-    L = observed_constant(studies["data"])
-    t = np.linspace(0.0, max(d.time for d in distances), 200)
-    axes["data"].set_yscale("log")
-    axes["data"].yaxis.set_major_formatter(LogFormatter(minor_thresholds=(2.0, 0.5)))
-    axes["data"].yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2.0, 0.5)))
-    low, high = axes["data"].get_ylim()
-    axes["data"].plot(t, np.exp(L * t), color="0.3", lw=1.2, ls="--", label=f"$e^{{Lt}}$, L = {L:.3g}")
-    axes["data"].set_ylim(low, 1.5 * high)
-    axes["data"].set_title("(a) two slopes", loc="left", fontsize=10)
-    for rank_, shade in shades.items():
-        axes["data"].plot([], [], color=shade, label=f"‖q - q̃‖₁(0) about {10.0**rank_:g}")
-    axes["data"].set_ylabel("‖q - q̃‖₁(t) / ‖q - q̃‖₁(0)")
-    axes["zero"].set_ylabel("‖q‖₁(t) / ‖q‖₁(0)")
-    axes["zero"].axhline(1.0, color="0.3", lw=1.2, ls="--", label="L = 0")
-    axes["zero"].set_title("(b) a slope and the neutral slope (colours as in a)", loc="left", fontsize=10)
+    _draw_growth(axes, studies, max(d.time for d in distances))
     names = {
         "coefficient": ("(c) coefficients k and k(1 + δ ...)", "relative disturbance δ", "largest ‖q - q̃‖₁"),
         "refresh": ("(d) K frozen over fractional steps", "fractional step Δt (supplied mass)", "mean ‖q - q̃‖₁"),
@@ -237,6 +214,35 @@ def draw_dependence(distances: Sequence[Distance]) -> Figure:
             panel.legend(fontsize=8, frameon=False)
     figure.suptitle(f"Continuous dependence: {distances[0].case}", fontsize=12, x=0.01, ha="left", parse_math=False)
     return figure
+
+
+def _draw_growth(axes: Mapping[str, Axes], studies: Mapping[str, Sequence[Distance]], end: float) -> None:
+    """Draw the distances of pairs of slopes, and of slopes and the neutral slope, over time."""
+    for study in ("data", "zero"):
+        mine, panel = studies[study], axes[study]
+        sizes = np.array([[d.member, d.size] for d in studies["data"]])
+        rank = {m: int(np.log10(sizes[sizes[:, 0] == m, 1][0])) for m in np.unique(sizes[:, 0])}
+        shades = dict(zip(sorted(set(rank.values())), _SHADES, strict=False))
+        for member in dict.fromkeys(d.member for d in mine):
+            t, y = np.array([(d.time, d.distance / d.size) for d in mine if d.member == member]).T
+            panel.plot(t, np.where(y > 1e-3, y, np.nan), color=shades[rank[member]], lw=0.9, alpha=0.7)
+        panel.set_xlabel("supplied mass t")
+        panel.grid(alpha=0.25, lw=0.5)
+    L = observed_constant(studies["data"])
+    t = np.linspace(0.0, end, 200)
+    axes["data"].set_yscale("log")
+    axes["data"].yaxis.set_major_formatter(LogFormatter(minor_thresholds=(2.0, 0.5)))
+    axes["data"].yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2.0, 0.5)))
+    low, high = axes["data"].get_ylim()
+    axes["data"].plot(t, np.exp(L * t), color="0.3", lw=1.2, ls="--", label=f"$e^{{Lt}}$, L = {L:.3g}")
+    axes["data"].set_ylim(low, 1.5 * high)
+    axes["data"].set_title("(a) two slopes", loc="left", fontsize=10)
+    for rank_, shade in shades.items():
+        axes["data"].plot([], [], color=shade, label=f"‖q - q̃‖₁(0) about {10.0**rank_:g}")
+    axes["data"].set_ylabel("‖q - q̃‖₁(t) / ‖q - q̃‖₁(0)")
+    axes["zero"].set_ylabel("‖q‖₁(t) / ‖q‖₁(0)")
+    axes["zero"].axhline(1.0, color="0.3", lw=1.2, ls="--", label="L = 0")
+    axes["zero"].set_title("(b) a slope and the neutral slope (colours as in a)", loc="left", fontsize=10)
 
 
 def fit_picture(found: Calibration) -> bytes | str:
