@@ -82,7 +82,7 @@ __all__ = [*_HOME, "__version__"]
 
 
 def __getattr__(name: str) -> Any:
-    """A public name, imported when it is first asked for: `hjprofile --help` needs none of them."""
+    """Import a public name when it is first used. `hjprofile --help` needs none of them."""
     if name not in _HOME:
         raise AttributeError(f"module 'hjprofile' has no attribute {name!r}")
     return getattr(import_module(_HOME[name]), name)

@@ -1,4 +1,4 @@
-"""`python -m hjprofile`."""
+"""The entry point of `python -m hjprofile`."""
 
 from hjprofile.cli import main
 

@@ -12,18 +12,18 @@ from hjprofile.interrupts import undone
 def write_whole(path: Path, data: bytes | str) -> None:
     """Write next to `path` and then replace it, so that half a file is never visible."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{os.urandom(4).hex()}")
-    with undone(lambda: beside.unlink(missing_ok=True)):
+    partial = path.with_name(f".{path.name}.{os.urandom(4).hex()}")
+    with undone(lambda: partial.unlink(missing_ok=True)):
         try:
-            with open(beside, "xb") as stream:
+            with open(partial, "xb") as stream:
                 stream.write(data.encode() if isinstance(data, str) else data)
                 stream.flush()
                 os.fsync(stream.fileno())
-            os.chmod(beside, 0o644)
-            os.replace(beside, path)
+            os.chmod(partial, 0o644)
+            os.replace(partial, path)
         except BaseException as error:
             with suppress(OSError):
-                beside.unlink()
+                partial.unlink()
             if isinstance(error, OSError):
                 error.filename = str(path)  # the error of a full disk names no file
             raise

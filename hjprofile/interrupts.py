@@ -1,4 +1,4 @@
-"""Signals that ask a process to end: Ctrl-C, the SIGTERM of a batch system, the SIGHUP of a closed terminal."""
+"""The signals that ask a process to end: Ctrl-C, the SIGTERM of a batch system, the SIGHUP of a closed terminal."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from contextlib import contextmanager, suppress
 from typing import Any, NoReturn
 
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-PATIENCE = 1.0  # seconds that a process which leaves has for its undoing
+PATIENCE = 1.0  # seconds that the cleanup of a process may take
 _undo: list[Callable[[], object]] = []
 _early: list[int] = []
 
 
 def leave_when_asked(sentence: str) -> None:
-    """Let a signal end this process from now on, with exit code 1 and the sentence on stderr.
+    """Make a signal end this process from now on, with exit code 1 and the sentence on stderr.
 
-    A thread of its own does so. An exception in the main thread would come late, when the compiler returns to Python,
-    and could be lost in a callback or turned into another by a module that is imported.
+    A separate thread ends the process. An exception in the main thread would be late, because compiled code must return
+    to Python first. A callback or an import could also swallow it or turn it into another exception.
     """
     for s in _heeded():
         signal.signal(s, _wake)
@@ -32,7 +32,7 @@ def leave_when_asked(sentence: str) -> None:
 
 
 def heed_no_more() -> None:
-    """Ignore signals, because the process is about to end by itself."""
+    """Ignore signals, because the process is about to end."""
     for s in SIGNALS:
         if signal.getsignal(s) is _wake:
             signal.signal(s, signal.SIG_IGN)

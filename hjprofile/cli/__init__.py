@@ -1,4 +1,4 @@
-"""The command line: one function a command; each parses, calls the library and says what came of it."""
+"""The command line: one function per command, which parses, calls the library and prints an account."""
 
 from __future__ import annotations
 
@@ -8,29 +8,34 @@ import os
 import sys
 from typing import NoReturn
 
-from hjprofile.errors import PAGE, InputError, RunError
+from hjprofile.errors import InputError, RunError
 from hjprofile.interrupts import heed_no_more, leave_when_asked
 
-INTERRUPTED = "hjprofile: interrupted; nothing was left half-written"
-# command -> heading of PAGE, for a sentence that has none of its own; the other commands ask whether it is right
+INTERRUPTED = "hjprofile: interrupted; no partial file was left"
+# command -> heading of the page on errors for a message without its own; the other commands are studies
 _ABOUT = {
     "run": "a-run-that-stops",
     "sweep": "a-sweep",
     "fit": "a-fit",
     "plot": "a-result-folder",
     "export": "a-result-folder",
+    "explain": "the-command-line",
 }
 
 
 def main(arguments: list[str] | None = None) -> NoReturn:
-    """Runs a command; 0 done, 1 the run or a check failed, 2 wrong usage or bad input. Never a traceback for these."""
-    if arguments is None:  # a process of its own
+    """Run a command. Exit with 0 if it is done, 1 if the run or a check failed, 2 for wrong usage or bad input.
+
+    Known failures print a message, never a traceback.
+    """
+    if arguments is None:  # the process belongs to this command
         _own_process()
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # one that has no '∫' gets a '?', and the command goes on
+        if isinstance(stream, io.TextIOWrapper):  # a character that the encoding lacks is printed as '?'
             stream.reconfigure(errors="replace")
     from cyclopts import CycloptsError
 
+    import hjprofile.cli.explain_command
     import hjprofile.cli.results
     import hjprofile.cli.run_command
     import hjprofile.cli.solving
@@ -47,16 +52,16 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         *others, last = error.faults if isinstance(error, InputError) else (error,)
         about = _ABOUT.get(command, "a-check-or-a-study")
         for fault in others:
-            print(_told(f"hjprofile: {fault}", fault.about or about), file=sys.stderr)
+            print(_with_pointer(f"hjprofile: {fault}", fault.about or about), file=sys.stderr)
         _leave(f"hjprofile: {last}", 2 if isinstance(error, InputError) else 1, last.about or about)
     except MemoryError:
-        _leave("hjprofile: the machine's memory is not enough; use fewer cells or snapshots", 1, "memory")
-    except BrokenPipeError:  # whoever read stdout has left; nor is there anything to say when Python flushes at exit
+        _leave("hjprofile: the memory of this machine is not sufficient; use fewer cells or snapshots", 1, "memory")
+    except BrokenPipeError:  # the reader of stdout has ended; Python's flush at exit must not fail
         _drop_stdout()
         sys.exit(1)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        _leave(f"hjprofile: {where}{error.strerror or error}; nothing was left half-written", 1, "a-place-to-write")
+        _leave(f"hjprofile: {where}{error.strerror or error}; no partial file was left", 1, "a-place-to-write")
     except KeyboardInterrupt:
         _leave(INTERRUPTED, 1, "interrupted")
     heed_no_more()
@@ -64,28 +69,30 @@ def main(arguments: list[str] | None = None) -> NoReturn:
 
 
 def _own_process() -> None:
+    """Prepare a process that belongs to the command alone: open streams, signals, garbage collection."""
     for name in ("stdin", "stdout", "stderr"):
-        if getattr(sys, name) is None:  # closed: the next file would take its number, and receive the output
+        if getattr(sys, name) is None:  # a closed stream: the next file would take its number and receive the output
             setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
-    leave_when_asked(_told(INTERRUPTED, "interrupted"))
-    gc.disable()  # the imports would be searched for garbage again and again
+    leave_when_asked(_with_pointer(INTERRUPTED, "interrupted"))
+    gc.disable()  # a collection during the imports costs time and frees nothing
 
 
 def _leave(sentence: str, code: int, about: str) -> NoReturn:
-    """Says a sentence, and under which heading of PAGE there is more of it."""
+    """Print a message and the command that explains it, then exit."""
     heed_no_more()
     try:
         sys.stdout.flush()
-    except OSError:  # a full disk: the sentence below says so, or says what matters more
+    except OSError:  # a full disk: the message below names it, or a more important reason
         _drop_stdout()
-    print(_told(sentence, about), file=sys.stderr)
+    print(_with_pointer(sentence, about), file=sys.stderr)
     sys.exit(code)
 
 
-def _told(sentence: str, about: str) -> str:
-    return f"{' '.join(sentence.split())} ({PAGE}#{about})"
+def _with_pointer(sentence: str, about: str) -> str:
+    """Return a message with the command that explains it."""
+    return f"{' '.join(sentence.split())} (see: hjprofile explain {about})"
 
 
 def _drop_stdout() -> None:
-    """Lets go of what stdout still holds and cannot write, which Python would try again at exit."""
+    """Discard the output that stdout cannot write, because Python would try again at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,4 +1,4 @@
-"""What all commands share: the application, their options, progress, and the two ways of answering."""
+"""The application, the options and the functions that all commands share."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ app = App(
     version=hjprofile.__version__,
     help_format="plaintext",
     default_parameter=Parameter(negative="", show_default=False),
-    suppress_keyboard_interrupt=False,  # `main` has a sentence for it
+    suppress_keyboard_interrupt=False,  # `main` prints a message instead
     help="Slow erosion of granular slopes: a nonlocal Hamilton-Jacobi equation and its cross-checks.",
 )
 app.register_install_completion_command(help="Complete commands and options in this shell (bash, zsh, fish).")
 
 
 def _whole(_: Any, tokens: Any) -> int:
-    """cyclopts would round 60.7 cells to 61."""
+    """Return a whole number; cyclopts would round 60.7 cells to 61."""
     try:
         return int(tokens[0].value)
     except ValueError:
@@ -42,44 +42,52 @@ def expanded(_: Any, tokens: Any) -> Path:
     from contextlib import suppress
 
     path = Path(tokens[0].value)
-    with suppress(RuntimeError):  # there is no such home
+    with suppress(RuntimeError):  # this user has no home folder
         path = path.expanduser()
     return path
 
 
 Somewhere = Annotated[Path, Parameter(converter=expanded)]
-CasePath = Annotated[Somewhere, Parameter(help="A TOML file, or a name that `hjprofile cases` lists.")]
+CasePath = Annotated[Somewhere, Parameter(help="A TOML file, or the name of a case that `hjprofile cases` lists.")]
 After = Annotated[Somewhere, Parameter(help="The survey afterwards: a CSV file with the header x,height.")]
 Cells = Annotated[int | None, Parameter(converter=_whole, help="Number of grid cells, instead of the case's.")]
-Method = Annotated[str | None, Parameter(help="Solver method, instead of the case's; a wrong name lists them all.")]
-Cfl = Annotated[float | None, Parameter(help="Time step as a part of the largest monotone one.")]
-Tolerance = Annotated[float | None, Parameter(help="Largest error of u; takes the method auto if none is named.")]
-End = Annotated[float | None, Parameter(help="Mass of grains poured in at which the run ends.")]
-Resume = Annotated[bool, Parameter(help="Go on from the checkpoint in the folder for the results.")]
-Strict = Annotated[bool, Parameter(help="Stop, as a failure, where a bound is broken.")]
-Fitted = Annotated[list[str], Parameter(help="A parameter to fit by its key, as in time.end; once for each.")]
-Sigma = Annotated[float | None, Parameter(help="Standard deviation of a measured height; else from the residuals.")]
+Method = Annotated[str | None, Parameter(help="Method, instead of the case's; an unknown name lists all methods.")]
+Cfl = Annotated[
+    float | None, Parameter(help="CFL number, instead of the case's: time step relative to the largest monotone one.")
+]
+Tolerance = Annotated[
+    float | None, Parameter(help="Largest allowed error of u; selects the method auto unless a method is named.")
+]
+End = Annotated[float | None, Parameter(help="Supplied mass at which the run ends, instead of the case's.")]
+Resume = Annotated[bool, Parameter(help="Continue from the checkpoint in the folder for the results.")]
+Strict = Annotated[bool, Parameter(help="Stop with exit code 1 if a bound is violated.")]
+Fitted = Annotated[list[str], Parameter(help="Key of a parameter to fit, as in time.end. May be repeated.")]
+Sigma = Annotated[
+    float | None, Parameter(help="Standard deviation of a measured height; estimated from the residuals by default.")
+]
 Out = Annotated[
     Path | None, Parameter(converter=expanded, help="Folder for the results; results/<case name> by default.")
 ]
-Into = Annotated[Path | None, Parameter(converter=expanded, help="Folder for the files; the result's own by default.")]
+Into = Annotated[
+    Path | None, Parameter(converter=expanded, help="Folder for the files; the folder of the result by default.")
+]
 
 Vary = Annotated[list[str], Parameter(help="A key of the case and its values: erosion.m=0.5,1,2. May be repeated.")]
 Workers = Annotated[
     int | None, Parameter(converter=_whole, help="Number of processes; one for each processor by default.")
 ]
-Kept = Annotated[bool, Parameter(help="Do not run again what is done in the folder for the results.")]
-Json = Annotated[bool, Parameter(help="Print one JSON document, for scripts, instead of lines to read.")]
+Kept = Annotated[bool, Parameter(help="Use the members that are stored in the folder for the results.")]
+Json = Annotated[bool, Parameter(help="Print one JSON document, for scripts, instead of text.")]
 
 
 def say(json: bool, text: str) -> None:
-    """A line or more for a reader, on stdout."""
+    """Print text for a reader on stdout, unless the command answers in JSON."""
     if not json:
         print(text)
 
 
 def answer(json: bool, document: Mapping[str, Any]) -> None:
-    """The same for a script, once a command: what a reader was told, with all digits."""
+    """Print the JSON document of a command on stdout, with all digits, if the command answers in JSON."""
     if json:
         from hjprofile.output.store import to_json
 
@@ -87,7 +95,7 @@ def answer(json: bool, document: Mapping[str, Any]) -> None:
 
 
 def load_cases(names: tuple[Path, ...], out: Path | None) -> tuple[ResultFolder, list[Case]]:
-    """The cases, and the folder for what comes of them all."""
+    """Return the folder for the results of these cases, and the cases."""
     from hjprofile.problem.case import load_case
 
     loaded = [load_case(name) for name in names]
@@ -97,7 +105,7 @@ def load_cases(names: tuple[Path, ...], out: Path | None) -> tuple[ResultFolder,
 def folder_for(names: tuple[Path, ...], out: Path | None, keep: str = "") -> ResultFolder:
     """Return the folder for the results of these cases. A folder that the user names may have belonged to another case.
 
-    Raises InputError if a case cannot be read, or if its default folder belongs to another case.
+    Raise InputError if a case cannot be read, or if its default folder belongs to another case.
     """
     from hjprofile.output.folder import ResultFolder, owner_of
     from hjprofile.problem.case_files import find_case
@@ -108,7 +116,7 @@ def folder_for(names: tuple[Path, ...], out: Path | None, keep: str = "") -> Res
 
 
 def listing(folder: Path, files: list[Path]) -> str:
-    """File names, with folders as a count."""
+    """Return the names of files as text, with the number of files for each folder."""
     names = [f.relative_to(folder).as_posix() for f in files]
     flat = [n for n in names if "/" not in n]
     if len(flat) > 12:
@@ -121,7 +129,7 @@ def listing(folder: Path, files: list[Path]) -> str:
 
 
 class Progress:
-    """A bar with the time that is left, on stderr, for what takes longer than a second on a terminal."""
+    """A progress bar with the remaining time, on stderr, for work that takes longer than a second on a terminal."""
 
     def __init__(self, label: str):
         self.label, self.started = label, time.monotonic()

@@ -1,4 +1,4 @@
-"""Commands on result folders: plot, compare, animate, export."""
+"""The commands on result folders: plot, compare, animate, export."""
 
 from __future__ import annotations
 
@@ -13,16 +13,14 @@ from hjprofile.errors import InputError
 
 Film = Annotated[
     Path | None,
-    Parameter(
-        converter=expanded, help="File, which ends in .gif or .mp4; profile.gif in the result folder by default."
-    ),
+    Parameter(converter=expanded, help="File that ends in .gif or .mp4; profile.gif in the result folder by default."),
 ]
-Fps = Annotated[float, Parameter(help="Saved times a second; 8 by default.")]
+Fps = Annotated[float, Parameter(help="Saved times per second; 8 by default.")]
 
 
 @app.command
 def plot(result: Somewhere, /, *, out: Into = None, json: Json = False) -> None:
-    """Draw the pictures of a result folder again as PNG and as SVG, into it or into another folder."""
+    """Draw the pictures of a result folder again, as PNG and as SVG, into it or into another folder."""
     from hjprofile.output.plots.runs import pictures
     from hjprofile.output.store import load_run
 
@@ -31,7 +29,7 @@ def plot(result: Somewhere, /, *, out: Into = None, json: Json = False) -> None:
 
 @app.command
 def compare(result: Somewhere, other: Somewhere, /, *, out: Into = None, json: Json = False) -> None:
-    """Say how far two results are apart and draw both with their differences, into the first or another folder.
+    """Print the differences of two results, and draw both with their differences into the first folder or another.
 
     The grids must be the same, or one a refinement of the other. Writes comparison.png and comparison.svg.
     """
@@ -45,14 +43,14 @@ def compare(result: Somewhere, other: Somewhere, /, *, out: Into = None, json: J
     if names[0] == names[1]:
         names = (str(result), str(other))
     files = comparison_pictures(first, second, names)
-    kinks = f"{norms.kinks:.2g}" if norms.kinks == norms.kinks else "none to compare"
+    kinks = f"{norms.kinks:.2g}" if norms.kinks == norms.kinks else "no kinks to compare"
     heights = ""
     if (units := first.units) and second.units:
         in_units = "in the survey's units"
         area, height = norms.height_l1 * units.volume, norms.height_sup * units.length * units.critical_slope
         heights = f" ({area:.2g} and {height:.2g} {in_units})"
         kinks += f" ({norms.kinks * units.length:.2g} {in_units})" if norms.kinks == norms.kinks else ""
-    times = f"{norms.shared_times} in both, of {first.time.size} and {second.time.size} that are saved"
+    times = f"{norms.shared_times} shared, of {first.time.size} and {second.time.size} saved times"
     lines = [f"{name}: {run.method}, {run.cells} cells" for name, run in zip(names, (first, second), strict=True)]
     lines += [
         f"  times       {times}",
@@ -66,7 +64,7 @@ def compare(result: Somewhere, other: Somewhere, /, *, out: Into = None, json: J
 
 @app.command
 def animate(result: Somewhere, /, *, out: Film = None, fps: Fps = 8.0, json: Json = False) -> None:
-    """Show the saved times of a result folder as a moving picture: a GIF, or an MP4 where there is ffmpeg."""
+    """Write the saved times of a result folder as an animation: a GIF, or an MP4 if ffmpeg is installed."""
     from hjprofile.output.plots.animation import animation
     from hjprofile.output.store import load_run
 
@@ -81,11 +79,11 @@ def export(
     result: Somewhere,
     /,
     *,
-    vtk: Annotated[bool, Parameter(help="Files for ParaView; the only format so far.")] = False,
+    vtk: Annotated[bool, Parameter(help="Write VTK files, for ParaView; the only format.")] = False,
     out: Into = None,
     json: Json = False,
 ) -> None:
-    """Write the VTK files of a result folder, into its folder `vtk` or into another."""
+    """Write the VTK files of a result folder into its folder `vtk` or into another."""
     from hjprofile.output.store import VTK_FOLDER, load_run
 
     if not vtk:

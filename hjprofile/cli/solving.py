@@ -1,4 +1,4 @@
-"""Commands that solve many cases: sweep, fit; and the list of those that come with the package."""
+"""The commands sweep, fit and cases."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 def sweep(
     case: CasePath, /, *, vary: Vary, workers: Workers = None, resume: Kept = False, out: Out = None, json: Json = False
 ) -> None:
-    """Solve a case for every choice of values of some of its keys, and write one table.
+    """Solve a case for every combination of values of some of its keys, and write one table.
 
-    Writes sweep.csv and sweep.nc; ends with exit code 1 if no member could be solved.
+    Writes sweep.csv and sweep.nc. The exit code is 1 if no member could be solved.
     """
     from hjprofile.output.folder import MEMBERS
     from hjprofile.output.sweep_results import account, report
@@ -50,7 +50,7 @@ def sweep(
     say(json, f"written to {folder}: sweep.csv, sweep.nc")
     answer(json, report(result) | {"files": [folder / "sweep.csv", folder / "sweep.nc"]})
     if not any(outcome.done for outcome in result.outcomes):
-        raise RunError(f"{case}: no member could be solved; the reasons are in {folder / 'sweep.csv'}")
+        raise RunError(f"{case}: no member was solved; the reasons are in {folder / 'sweep.csv'}")
 
 
 @app.command
@@ -59,7 +59,7 @@ def fit(
 ) -> None:
     """Fit parameters of a case to a survey made afterwards, with 95 % intervals.
 
-    The case's own profile is the survey before. Writes fit.json, fit.png and fitted.toml, the case with the fitted
+    The profile of the case is the survey before. Writes fit.json, fit.png and fitted.toml, the case with the fitted
     values.
     """
     from hjprofile.output.fit_files import fit_account, fit_files, fit_report

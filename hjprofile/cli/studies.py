@@ -1,4 +1,4 @@
-"""Commands that ask whether it is right: check, chart, stability, dependence."""
+"""The commands for studies: check, chart, stability, dependence."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 @app.command
 def check(*case: CasePath, out: Out = None, json: Json = False) -> None:
-    """Test the Hamilton-Jacobi equation against the conservation law on one case or several.
+    """Test the Hamilton-Jacobi equation against the conservation law on one or several cases.
 
-    Writes check.json; ends with exit code 1 if a comparison fails.
+    Writes check.json. The exit code is 1 if a comparison fails.
     """
     from hjprofile.output.store import to_json
     from hjprofile.studies.consistency import check as check_case
@@ -38,12 +38,14 @@ def check(*case: CasePath, out: Out = None, json: Json = False) -> None:
     say(json, "\n".join([*map(str, verdicts), f"written to {files[0]}"]))
     answer(json, report | {"files": files})
     if failed:
-        raise RunError(f"the consistency test fails on {', '.join(failed)}; lines marked FAILS above say where")
+        raise RunError(
+            f"the consistency test fails on {', '.join(failed)}; the lines marked FAILS name the comparisons"
+        )
 
 
 @app.command
 def chart(*case: CasePath, out: Out = None, json: Json = False) -> None:
-    """Chart the accuracy of every method against its seconds, on one case or several.
+    """Measure the error of every method against its run time in seconds, on one or several cases.
 
     Writes chart.csv and chart.png.
     """
@@ -60,9 +62,9 @@ def chart(*case: CasePath, out: Out = None, json: Json = False) -> None:
     for one in loaded:
         with Progress(f"charting {one.name}") as progress:
             charts[one.name] = points, reference = chart_case(one.name, one.problem, one.grid, one.cfl, progress)
-        known = f" (u to {reference.error:.1g}, q to {reference.error_q:.1g})" if reference.error else ""
+        known = f" (errors of u {reference.error:.1g}, of q {reference.error_q:.1g})" if reference.error else ""
         best = pareto(points)
-        head = f"{one.name}: {len(points)} runs against {reference.name}{known}. None beats in seconds and in error:"
+        head = f"{one.name}: {len(points)} runs; reference: {reference.name}{known}. Pareto front of seconds and error:"
         lines += [head, *(_point(p, reference) for p in best)]
         known_to = {"reference_error": reference.error, "reference_error_q": reference.error_q}
         found = {"case": one.name, "reference": reference.name} | known_to
@@ -75,7 +77,7 @@ def chart(*case: CasePath, out: Out = None, json: Json = False) -> None:
 
 @app.command
 def stability(case: CasePath, /, *, out: Out = None, json: Json = False) -> None:
-    """Scan where each method on a grid holds and where it fails, on one case.
+    """Scan the limits of stability of each method on a grid, on one case.
 
     Writes stability.csv and stability.png.
     """
@@ -86,9 +88,9 @@ def stability(case: CasePath, /, *, out: Out = None, json: Json = False) -> None
 
     folder, (loaded,) = load_cases((case,), out)
     folder.open()
-    with Progress(f"trying {loaded.name}") as progress:
+    with Progress(f"scanning {loaded.name}") as progress:
         trials = scan(loaded.name, loaded.problem, loaded.grid, progress)
-    lines = [f"{loaded.name}: {len(trials)} trials. CFL number up to which a method holds (by theory):"]
+    lines = [f"{loaded.name}: {len(trials)} trials. Largest stable CFL number, measured (proved):"]
     limits = {}
     for method, theory in {t.method: t.theory for t in trials if t.parameter == "cfl"}.items():
         low, high = measured_limit(trials, method)
@@ -107,9 +109,9 @@ def stability(case: CasePath, /, *, out: Out = None, json: Json = False) -> None
 
 @app.command
 def dependence(case: CasePath, /, *, out: Out = None, json: Json = False) -> None:
-    """Follow how far solutions come apart that begin close together, or erode by close coefficients, on one case.
+    """Measure the distance between solutions with close initial data or close coefficients, on one case.
 
-    Writes dependence.csv and dependence.png; ends with exit code 1 if a distance exceeds its bound.
+    Writes dependence.csv and dependence.png. The exit code is 1 if a distance exceeds its bound.
     """
     from hjprofile.output.plots.study_pictures import dependence_picture
     from hjprofile.output.store import to_csv, write_picture
@@ -118,7 +120,7 @@ def dependence(case: CasePath, /, *, out: Out = None, json: Json = False) -> Non
 
     folder, (loaded,) = load_cases((case,), out)
     folder.open()
-    with Progress(f"disturbing {loaded.name}") as progress:
+    with Progress(f"measuring {loaded.name}") as progress:
         distances = study(loaded.name, loaded.problem, loaded.grid, progress)
     sentences, failed = summary(distances)
     files = folder.write({"dependence.csv": to_csv(Distance._fields, distances)})
@@ -141,6 +143,6 @@ def _written(folder: ResultFolder, files: list[Path], picture: Written) -> str:
 
 def _point(p: Point, reference: Reference) -> str:
     """Return a line of the account, with `<` before an error that is not above the error of the reference."""
-    q = f"{'<' * (p.error_q_l1 <= reference.error_q):>1}{p.error_q_l1:7.1e}"
-    u = f"{'<' * (p.error_u_sup <= reference.error):>1}{p.error_u_sup:7.1e}"
+    q = f"{'<' * bool(p.error_q_l1 <= reference.error_q):>1}{p.error_q_l1:7.1e}"
+    u = f"{'<' * bool(p.error_u_sup <= reference.error):>1}{p.error_u_sup:7.1e}"
     return f"  {p.method:22} {p.cells:6}  {q} of q  {u} of u  {p.seconds:.2g} s"

@@ -1,1 +1,1 @@
-"""What people keep: result folders, VTK files, pictures."""
+"""Result folders, VTK files and pictures."""

@@ -1,4 +1,4 @@
-"""Arrays and text in one file, with a digest against damage."""
+"""Archives of arrays and text in one file, with a digest that detects damage."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def pack(arrays: Mapping[str, Array]) -> bytes:
 
 
 def unpack(path: Path) -> dict[str, Array]:
-    """Return name -> array of an archive. Raises FileNotFoundError, and ValueError if it is damaged."""
+    """Return name -> array of an archive. Raise FileNotFoundError, and ValueError if it is damaged."""
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
@@ -40,6 +40,7 @@ def unpack(path: Path) -> dict[str, Array]:
 
 
 def _digest(arrays: Mapping[str, Array]) -> str:
+    """Return a hash of names, types, shapes and values."""
     digest = hashlib.sha256()
     for name in sorted(arrays):
         array = np.asarray(arrays[name])

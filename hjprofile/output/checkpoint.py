@@ -1,4 +1,4 @@
-"""A run that was stopped goes on from its checkpoint, bit for bit."""
+"""Checkpoints from which an interrupted run is resumed, bit for bit."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ NAME = "checkpoint.npz"
 
 
 class Checkpoint:
-    """Keeps the state of a run in `checkpoint.npz` of its folder, every `interval` seconds and when asked to stop.
+    """The checkpoint of a run: `checkpoint.npz` in its folder, written every `interval` seconds and at an interruption.
 
-    Arrays and text only: reading one runs no code. With `resume` a run goes on from the one that is there.
+    It holds arrays and text only: reading it runs no code. With `resume` a run is resumed from the existing file.
     """
 
     def __init__(self, folder: Path, interval: float, resume: bool, claim: Callable[[str], None] = lambda name: None):
-        """Prepare a keeper, which calls `claim` with the name of the checkpoint before it writes one."""
+        """Prepare the checkpoint, which calls `claim` with its name before it is written."""
         self.path, self.interval, self.resume, self.claim = folder / NAME, interval, resume, claim
-        self.resumed_at: float | None = None  # the time t from which the run went on
+        self.resumed_at: float | None = None  # the time t from which the run was resumed
         self.heeding, self.asked = ExitStack(), False
 
     def __enter__(self) -> Checkpoint:
@@ -41,10 +41,13 @@ class Checkpoint:
         self.heeding.close()
 
     def _ask(self, *_: Any) -> None:
-        self.asked = True  # between two lots of steps the state is whole
+        self.asked = True  # the state is complete only between two batches of time steps
 
     def recall(self, identity: Mapping[str, Any]) -> Mapping[str, Array] | None:
-        """Raises InputError if there is a checkpoint to go on from that is damaged, or of another run."""
+        """Return the stored state to resume from, else None.
+
+        Raise InputError if it is damaged, or if it belongs to another run.
+        """
         self.identity = dict(_flat(identity))
         if not self.resume:
             self.discard()
@@ -73,30 +76,30 @@ class Checkpoint:
         return stored
 
     def due(self) -> bool:
-        """Also when the run was asked to stop."""
-        if not self.started:  # before the first steps are done there is nothing to keep, and much to compile
+        """Return True if the interval has passed, or if the run was interrupted."""
+        if not self.started:  # before the first time steps there is no state, and compilation takes long
             self.started = True
             self.heeding.enter_context(answered(self._ask))
         return self.asked or time.monotonic() - self.last >= self.interval
 
     def keep(self, t: float, memory: Mapping[str, Array]) -> None:
-        """Raises RunError, when all is kept, if the run was asked to stop."""
+        """Write the state at t. Then raise RunError if the run was interrupted."""
         self.claim(NAME)
         write_whole(self.path, pack({**memory, "identity": np.array(json.dumps(self.identity))}))
         self.last = time.monotonic()
         if self.asked:
             raise RunError(
-                f"interrupted at t = {t:.6g}; the run is kept in {self.path}, and --resume goes on from there",
+                f"interrupted at t = {t:.6g}; the state is saved in {self.path}; --resume continues from it",
                 about="interrupted",
             )
 
     def discard(self) -> None:
-        """Removes the checkpoint: the run has ended, or starts anew."""
+        """Remove the checkpoint: the run has ended, or starts from t = 0."""
         self.path.unlink(missing_ok=True)
 
 
 def _flat(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    """Entries of nested tables by dotted keys, as JSON would give them back."""
+    """Return the entries of nested tables by dotted keys, with the types of JSON."""
     for key, value in table.items():
         if isinstance(value, Mapping):
             yield from _flat(value, f"{above}{key}.")

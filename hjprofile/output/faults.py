@@ -1,4 +1,4 @@
-"""Faults of a run that was read back from its folder, in its tables and in its summary."""
+"""The checks of a stored run: its texts, numbers, case, units and tables."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LONGEST_TEXT = 10_000  # characters of a sentence
 def fault_of(run: Run, summary: Mapping[str, Any]) -> str:
     """Return a sentence on the first fault of a stored run, or "". `summary` is the content of its summary.json.
 
-    Raises InputError, which is a ValueError, if no case can state its law.
+    Raise InputError, which is a ValueError, if no case can state its law.
     """
     return _of_texts(run) or _of_numbers(run, summary) or _of_case(run) or _of_units(run) or _of_tables(run)
 
@@ -38,9 +38,9 @@ def _of_texts(run: Run) -> str:
 def _of_numbers(run: Run, summary: Mapping[str, Any]) -> str:
     numbers = (run.wall_seconds, 0.0 if run.error_estimate is None else run.error_estimate)
     if not all(isinstance(v, (int, float)) and not isinstance(v, bool) and 0.0 <= v < LARGEST for v in numbers):
-        return "summary.json holds no number, or a negative one, as wall_seconds or error_estimate"
+        return "wall_seconds and error_estimate in summary.json must be numbers, not negative"
     if isinstance(run.steps, bool) or not isinstance(run.steps, int) or not 0 <= run.steps < LARGEST:
-        return "summary.json holds no whole number as steps"
+        return "steps in summary.json must be a whole number"
     if not all(isinstance(bound.holds, bool) for bound in run.bounds.values()):
         return "summary.json does not hold true or false for each bound"
     if (summary["cells"], summary["supplied"], summary["status"]) != (run.cells, run.time[-1], run.status):
@@ -51,10 +51,10 @@ def _of_numbers(run: Run, summary: Mapping[str, Any]) -> str:
 def _of_case(run: Run) -> str:
     if not all(isinstance(run.case.get(name), Mapping) for name in SECTIONS):
         return f"the stored case must have the sections {', '.join(SECTIONS)}"
-    if run.case["erosion"].get("law") != "python":  # running its file would run its author's code
+    if run.case["erosion"].get("law") != "python":  # the file would run its author's code
         law_from(run.case["erosion"])
     if not isinstance(run.case["solver"].get("method"), str):
-        return "the stored case names no method"
+        return "the stored case must name a method"
     return ""
 
 
@@ -72,7 +72,7 @@ def _of_tables(run: Run) -> str:
     times, hair = set(run.time.tolist()), 1e-9
     for name, rows in (("kinks.csv", run.kinks), ("vertical_steps.csv", run.vertical_steps or ())):
         for row in rows:
-            numbers = [value for field, value in row._asdict().items() if field != "speed"]  # NaN if it is not known
+            numbers = [value for field, value in row._asdict().items() if field != "speed"]  # NaN if unknown
             here = left - hair <= row.x <= right + hair and 0 < row[1] < MOST
             if not (row.time in times and here and np.all(np.isfinite(numbers)) and not np.isinf(row.speed)):
                 return f"{name} holds a row that is not of this run: {row}"

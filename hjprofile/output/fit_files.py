@@ -1,4 +1,4 @@
-"""What a fit leaves behind: its files, and a short account."""
+"""The files and the account of a fit."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from hjprofile.studies.calibration import FRONTS, Calibration, Parameter
 
 
 def fit_files(found: Calibration) -> dict[str, bytes | str]:
-    """Return name -> content: the numbers, and the case with the fitted values."""
+    """Return name -> content of the files: the numbers, and the case with the fitted values."""
     return {"fit.json": to_json(fit_report(found)), "fitted.toml": to_toml(found.case)}
 
 
 def fit_report(found: Calibration) -> dict[str, Any]:
-    """`fit.json`, as a dictionary."""
+    """Return the content of `fit.json` as a dictionary."""
     return {
         "title": found.title,
         "parameters": {p.name: _row(p) for p in found.parameters},
@@ -43,10 +43,10 @@ def _row(p: Parameter) -> dict[str, Any]:
 
 
 def fit_account(found: Calibration) -> str:
-    """The fitted values, a line each, and how well they meet the survey."""
+    """Return the fitted values, one per line, and the residuals."""
     rows = [*found.parameters, *([found.volume] if found.volume else [])]
     width = max(len(p.name) for p in rows)
-    beyond = f" ({found.left_out} beyond the slope left out)" if found.left_out else ""
+    beyond = f" ({found.left_out} beyond the slope omitted)" if found.left_out else ""
     lines = [
         found.title,
         f"  fitted to {found.x.size} heights{beyond} in {found.wall_seconds:.2g} s, {found.evaluations} evaluations",
@@ -54,12 +54,11 @@ def fit_account(found: Calibration) -> str:
     if found.account:
         lines.append(f"  {found.account}")
     for p in rows:
-        known = f"{p.low:.5g} to {p.high:.5g} (95 %)" if p.low == p.low else "no interval, see below"
+        known = f"{p.low:.5g} to {p.high:.5g} (95 %)" if p.low == p.low else "no interval, see the warnings"
         lines.append(f"  {p.name:{width}}  {p.value:<10.6g}  {known}, started at {p.start:g}")
-    fits = (
-        f"  residuals {found.rms:.3g} r.m.s., sigma {found.sigma:.3g} {'given' if found.sigma_given else 'from them'}"
-    )
+    source = "given" if found.sigma_given else "estimated from them"
+    fits = f"  residuals {found.rms:.3g} r.m.s., sigma {found.sigma:.3g} {source}"
     if found.chi2 is not None:
         freedom = found.degrees_of_freedom
-        fits += f", chi² {found.chi2 / freedom:.3g} for each of {freedom} degrees of freedom"
+        fits += f", chi² per degree of freedom {found.chi2 / freedom:.3g} ({freedom} degrees)"
     return "\n".join([*lines, fits, *(f"  WARNING   {warning}" for warning in found.warnings)])

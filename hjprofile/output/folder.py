@@ -1,4 +1,4 @@
-"""A folder for results: the case to which it belongs, and files that appear in it whole or not at all."""
+"""Result folders: the case to which a folder belongs, and its files, written atomically."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from hjprofile.files import write_whole
 from hjprofile.problem.case_files import read_case
 from hjprofile.problem.paths import located
 
-RECORD = ".hjprofile.json"  # in the folder: its owner, and the names of the files that hjprofile wrote there
-INSIDE = ("vtk", "members")  # folders inside it
+RECORD = ".hjprofile.json"  # a file in the folder with its owner and the names of the files that hjprofile wrote there
+INSIDE = ("vtk", "members")  # subfolders
 _FORMS = "nc|csv|json|toml|png|svg|gif|mp4|npz|pvd|vtp|vtr"
-_HALF = re.compile(rf"\..+\.({_FORMS})\.\w{{8}}")  # as `write_whole` names them
-MEMBERS = "members/*.npz"  # they identify their runs themselves
+_HALF = re.compile(rf"\..+\.({_FORMS})\.\w{{8}}")  # partial files of `write_whole`
+MEMBERS = "members/*.npz"  # each identifies its own run
 # names that a record may list; no other file is ever removed
 _NAME = re.compile(rf"{re.escape(MEMBERS)}|(vtk/)?\w[\w.+-]*\.({_FORMS})")
 _ABOUT = "a-folder-of-another-case"
@@ -33,7 +33,7 @@ class Owner(NamedTuple):
     """The case to which the files of a folder belong.
 
     Attributes:
-        cases: the absolute paths of its case files; none of a run that was made in Python.
+        cases: the absolute paths of its case files; empty for a run that was made in Python.
         fingerprint: a hash of the content of the case and of the files that it names.
     """
 
@@ -45,9 +45,9 @@ class Owner(NamedTuple):
 
 
 def owner_of(cases: Sequence[Path]) -> Owner:
-    """Return the owner of results computed from these case files. Raises InputError if one cannot be read.
+    """Return the owner of results computed from these case files. Raise InputError if one cannot be read.
 
-    The sections [output] and [expect] change no result.
+    The sections [output] and [expect] change no result and are not hashed.
     """
     digest = hashlib.sha256()
     for path in cases:
@@ -69,12 +69,12 @@ def owner_of_run(case: Mapping[str, Any]) -> Owner:
 def _stable(content: Mapping[str, Any]) -> bytes:
     try:
         return json.dumps(content, sort_keys=True, default=str).encode()
-    except (ValueError, RecursionError):  # a number of thousands of digits, deep nesting: the command refuses it
+    except (ValueError, RecursionError):  # a number of thousands of digits, deep nesting: the command rejects it
         return b""
 
 
 def _bytes_of(path: Path) -> bytes:
-    """Return the content of a file, or of the stored run in a result folder; nothing if there is none."""
+    """Return the content of a file, or of the stored run in a result folder; empty if there is none."""
     with suppress(OSError, ValueError):  # the command that needs the file reports it
         return (path / "profile.nc" if path.is_dir() else path).read_bytes()
     return b""
@@ -86,7 +86,7 @@ class _Record(NamedTuple):
 
 
 def _recorded(folder: Path) -> _Record | None:
-    """Return the record of a folder; None if there is none that can be read."""
+    """Return the record of a folder; None if there is no readable one."""
     try:
         content = json.loads((folder / RECORD).read_text(encoding="utf-8"))
         owner = Owner(tuple(map(str, content["cases"])), str(content["fingerprint"]))
@@ -96,7 +96,7 @@ def _recorded(folder: Path) -> _Record | None:
 
 
 class ResultFolder:
-    """A folder that belongs to one case: files of another one are rejected, or removed before the first is written.
+    """A folder that belongs to one case: files of another case are rejected, or removed before the first is written.
 
     Only files that the record of the folder lists are removed.
     """
@@ -104,7 +104,7 @@ class ResultFolder:
     def __init__(self, path: str | Path, owner: Owner, replace: bool = True, keep: str = ""):
         """Prepare the folder. `keep` is a file, or a pattern of files, that identifies its run itself and always stays.
 
-        Raises InputError, unless `replace`, if the folder belongs to another case file with another content.
+        Raise InputError, unless `replace`, if the folder belongs to another case file with another content.
         """
         self.path, self.owner = Path(path), owner
         self.files, self.stale = frozenset[str](), frozenset[str]()
@@ -126,9 +126,9 @@ class ResultFolder:
         return str(self.path)
 
     def open(self) -> ResultFolder:
-        """Make the folder, check that it can be written to, and remove halves that a killed run left in it.
+        """Create the folder, test that it is writable, and remove the partial files of a killed run.
 
-        Raises OSError if it cannot be written to.
+        Raise OSError if it is not writable.
         """
         self.path.mkdir(parents=True, exist_ok=True)
         for path in (p for folder in ("", *INSIDE) for p in (self.path / folder).glob(".*")):
@@ -142,23 +142,23 @@ class ResultFolder:
         for name in self.stale:
             self._delete(name)
         if self.stale or not self.files.issuperset(names) or not (self.path / RECORD).exists():
-            now = _recorded(self.path)  # another command on the same case may have written meanwhile
+            now = _recorded(self.path)  # another command on the same case may have written in the meantime
             theirs = now.files if now and now.owner.fingerprint == self.owner.fingerprint else frozenset[str]()
             self.stale, self.files = frozenset(), self.files | theirs | set(names)
             self._write_record()
 
     def write(self, files: Mapping[str, bytes | str]) -> list[Path]:
-        """Write files, name -> content, each whole or not at all, in their order; those of `INSIDE` at once."""
+        """Write files, name -> content, each atomically and in this order; those in `INSIDE` in parallel."""
         self.claim(*files)
         with ThreadPoolExecutor(8) as pool:
             for inside, group in groupby(files.items(), lambda file: "/" in file[0]):
-                # those inside are many, and each waits for the disk
+                # these files are many, and each waits for the disk
                 for _ in (pool.map if inside else map)(lambda file: write_whole(self.path / file[0], file[1]), group):
                     pass
         return [self.path / name for name in files]
 
     def remove(self, patterns: Iterable[str]) -> None:
-        """Remove those recorded files whose names match."""
+        """Remove the recorded files whose names match."""
         gone = {name for name in self.files for pattern in patterns if fnmatchcase(name, pattern)}
         for name in gone:
             self._delete(name)
@@ -169,7 +169,7 @@ class ResultFolder:
     def _delete(self, name: str) -> None:
         for path in self.path.glob(name):
             path.unlink(missing_ok=True)
-        with suppress(OSError):  # it holds other files
+        with suppress(OSError):  # the subfolder holds other files
             if "/" in name:
                 (self.path / name).parent.rmdir()
 
@@ -181,7 +181,7 @@ class ResultFolder:
 def add_files(result: Path, folder: Path, files: Mapping[str, bytes | str]) -> list[Path]:
     """Write files made from a stored run into its own folder `result`, or into one that belongs to no other case.
 
-    Raises InputError if `folder` belongs to another case.
+    Raise InputError if `folder` belongs to another case.
     """
     mine, there = _recorded(result), _recorded(folder)
     if there is not None:

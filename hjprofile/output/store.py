@@ -1,4 +1,4 @@
-"""A result folder: netCDF, tables and a summary, each file whole or not at all."""
+"""The files of a run: netCDF, tables and a summary, each written atomically."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ _Row = TypeVar("_Row", KinkRecord, Event, VerticalStep)
 VTK_FOLDER = "vtk"
 STEPS_FILE = "vertical_steps.csv"
 PICTURES = "profile", "diagram", "factor"
-LONGEST_REASON = 200  # characters of an exception in a caution
-# files made from a run, other than those that every run writes
+LONGEST_REASON = 200  # characters of an exception in a warning
+# files that not every run writes
 _OF_A_RUN = (
     "summary.json", STEPS_FILE, *(f"{name}.{form}" for name in (*PICTURES, "comparison") for form in ("png", "svg")),
     "*.gif", "*.mp4", f"{VTK_FOLDER}/*",
@@ -39,7 +39,7 @@ _OF_A_RUN = (
 
 
 class Written(NamedTuple):
-    """The files of optional products, and a sentence for each that could not be made."""
+    """The files of optional products, and a warning for each product that could not be made."""
 
     files: list[Path]
     warnings: list[str]
@@ -48,10 +48,33 @@ class Written(NamedTuple):
 def write_run(
     run: Run, folder: str | Path, vtk: bool = True, plots: bool = True, helper: Executor | None = None
 ) -> list[Path]:
-    """Write the whole result folder and return its files; those of another case or an earlier run there are removed.
+    """Write the result folder of a run.
 
-    A helper draws the pictures while the data are written. If a picture or the VTK files cannot be made, the data are
-    complete and a UserWarning is issued.
+    Files of another case or of an earlier run in the folder are removed. If a picture or the VTK files cannot be made,
+    the
+    data are complete and a UserWarning is issued.
+
+    Args:
+        run: the run.
+        folder: the path of the folder, which is created.
+        vtk: True to write VTK files.
+        plots: True to draw pictures.
+        helper: an executor that draws the pictures while the data are written, or None.
+
+    Returns:
+        The paths of the written files.
+
+    Raises:
+        InputError: for an argument of another type.
+        OSError: if the folder is not writable.
+
+    >>> import tempfile
+    >>> import hjprofile as hj
+    >>> problem = hj.Problem(hj.rational(), hj.kinks([-2.0], [1.0]), end=0.1)
+    >>> run = hj.solve_hj(problem, hj.Grid(left=-4.0, cells=40))
+    >>> files = hj.write_run(run, tempfile.mkdtemp(), vtk=False, plots=False)
+    >>> sorted(file.name for file in files)
+    ['events.csv', 'kinks.csv', 'profile.nc', 'summary.json']
     """
     instance("run", run, Run)
     place = ResultFolder(as_path("folder", folder), owner_of_run(run.case)).open()
@@ -66,11 +89,11 @@ def write_results(
 ) -> tuple[Run, list[Path]]:
     """Write data and summary, then VTK files and pictures.
 
-    Returns the run, with a caution for each product that could not be made, and the files.
+    Return the run, with a caution for each product that could not be made, and the files.
     """
     drawn = None
     if plots and helper:
-        with suppress(BrokenExecutor):  # whoever is lost is done without
+        with suppress(BrokenExecutor):  # without the helper this process draws
             drawn = helper.submit(_pictures, run)
     data: dict[str, bytes | str] = {
         "profile.nc": netcdf(run),
@@ -82,7 +105,7 @@ def write_results(
     place.remove(_OF_A_RUN)
     place.claim(*data, "summary.json", *(f"{name}.png" for name in PICTURES if plots))
     files = place.write(data)
-    end = place.write({"summary.json": to_json(summary(run))})  # after the data: a folder with a summary has them all
+    end = place.write({"summary.json": to_json(summary(run))})  # after the data: a folder with a summary is complete
     failures: list[str] = []
     if vtk:
         files += place.write(attempt(failures, "the VTK files could not be made", _vtk, run))
@@ -97,14 +120,15 @@ def write_results(
 
 
 def _drawn(run: Run, drawn: Future | None) -> tuple[dict[str, bytes | str], list[str]]:
-    """Return the pictures, by the helper or here, and a sentence for each that could not be drawn."""
+    """Return the pictures, by the helper or by this process, and a warning for each that could not be drawn."""
     try:
         return drawn.result() if drawn else _pictures(run)
-    except Exception:  # the helper is lost, or the run could not be sent to it
+    except Exception:  # the helper has ended, or the run could not be sent to it
         return _pictures(run)
 
 
 def _pictures(run: Run) -> tuple[dict[str, bytes | str], list[str]]:
+    """Return the pictures of a run, and a warning for each that could not be drawn."""
     files: dict[str, bytes | str] = {}
     failures: list[str] = []
     for name in PICTURES:
@@ -134,25 +158,25 @@ def write_picture(place: ResultFolder, name: str, draw: Callable[..., bytes | st
 def attempt(
     failures: list[str], failed: str, make: Callable[..., dict[str, bytes | str]], *arguments: Any
 ) -> dict[str, bytes | str]:
-    """Return the files that `make` makes; if it fails, none, with one more sentence in `failures`."""
+    """Return the files that `make` makes; if it fails, return none and add a warning to `failures`."""
     try:
         return make(*arguments)
-    except Exception as error:  # no picture is worth the run
+    except Exception as error:  # a failed picture must not lose the run
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:LONGEST_REASON]
         failures.append(f"{failed} ({reason}); the data are complete")
         return {}
 
 
 def netcdf(run: Run) -> bytes:
-    """`profile.nc`: netCDF-3 with 64-bit offsets and CF attributes."""
+    """Return the content of `profile.nc`: netCDF-3 with 64-bit offsets and CF attributes."""
     from scipy.io import netcdf_file
 
     buffer = io.BytesIO()
     file = netcdf_file(buffer, "w", version=2)
     for name, value in run.attributes.items():
-        # scipy takes a str for ASCII, cannot store an empty one, and keeps a plain float in single precision
+        # scipy encodes str as ASCII, cannot store an empty one, and stores a plain float in single precision
         setattr(file, name, (value or " ").encode() if isinstance(value, str) else np.float64(value))
-    # a variable of fixed dimensions is limited to 2 GiB, one along the unlimited dimension to 2 GiB a saved time
+    # a variable of fixed dimensions is limited to 2 GiB, one along the unlimited dimension to 2 GiB per saved time
     for dimension, size in (("time", None), ("node", run.x.size), ("cell", run.x_cell.size)):
         file.createDimension(dimension, size)
     for name, (dimensions, attributes) in FIELDS.items():
@@ -169,7 +193,7 @@ def netcdf(run: Run) -> bytes:
 
 
 def summary(run: Run) -> dict[str, Any]:
-    """`summary.json`, as a dictionary."""
+    """Return the content of `summary.json` as a dictionary."""
     updates = run.steps * run.cells / run.wall_seconds if run.wall_seconds > 0 else None
     content: dict[str, Any] = {
         "title": run.title,
@@ -206,7 +230,7 @@ def summary(run: Run) -> dict[str, Any]:
 
 
 def to_json(content: Any, ascii_only: bool = False) -> str:
-    """JSON text, with null for what is not a finite number and paths as text."""
+    """Return JSON text, with null for numbers that are not finite and with paths as text."""
 
     def plain(value: Any) -> Any:
         if isinstance(value, dict):
@@ -223,7 +247,7 @@ def to_json(content: Any, ascii_only: bool = False) -> str:
 
 
 def to_csv(header: Iterable[str], rows: Iterable[tuple]) -> str:
-    """A table in which floats keep all their digits, and what is None or NaN is an empty field."""
+    """Return a CSV table with all digits of floats; None and NaN are empty fields."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(header)
@@ -233,7 +257,25 @@ def to_csv(header: Iterable[str], rows: Iterable[tuple]) -> str:
 
 
 def load_run(folder: str | Path) -> Run:
-    """Return a run read back from its result folder. Raises InputError if there is none, or one that is damaged."""
+    """Read a run back from its result folder.
+
+    Args:
+        folder: the path of the folder.
+
+    Returns:
+        The run, with the arrays, tables and attributes that the solver returned.
+
+    Raises:
+        InputError: if the folder holds no complete and undamaged run.
+
+    >>> import tempfile
+    >>> import hjprofile as hj
+    >>> problem = hj.Problem(hj.rational(), hj.kinks([-2.0], [1.0]), end=0.1)
+    >>> folder = tempfile.mkdtemp()
+    >>> _ = hj.write_run(hj.solve_hj(problem, hj.Grid(left=-4.0, cells=40)), folder, vtk=False, plots=False)
+    >>> hj.load_run(folder).u.shape
+    (31, 41)
+    """
     folder = as_path("folder", folder)
     try:
         arrays, attributes = read_profile(folder / "profile.nc")
@@ -252,14 +294,14 @@ def load_run(folder: str | Path) -> Run:
             crest_lowering=_number(content["crest_lowering"]), units=units,
             bounds=bounds, volume_budget_error=_number((content["volume_budget"] or {}).get("difference")),
             error_estimate=content.get("error_estimate"), account=content.get("account", ""),
-            cautions=tuple(content["warnings"][:cautions]),  # the others belong to broken bounds
+            cautions=tuple(content["warnings"][:cautions]),  # the others state violated bounds
         )  # fmt: skip
         if fault := fault_of(run, content):
             raise ValueError(fault)
         return run
     except FileNotFoundError as error:
         under = Path("results") / folder
-        remedy = f"did you mean {under}?" if under.is_dir() else "`hjprofile run` writes them whole"
+        remedy = f"did you mean {under}?" if under.is_dir() else "run the case again"
         message = f"{folder} is not a complete result folder: {Path(error.filename).name} is missing; {remedy}"
         raise InputError(message, about="a-result-folder") from None
     except NotADirectoryError:
@@ -273,13 +315,13 @@ def load_run(folder: str | Path) -> Run:
 
 
 def _no_number(name: str) -> None:
-    raise ValueError(f"summary.json holds {name}, which is no JSON")
+    raise ValueError(f"summary.json holds {name}, which is not JSON")
 
 
 def _number(value: float | None) -> float:
-    """JSON has no NaN: `to_json` writes null for it."""
+    """Return a number of summary.json; null, which `to_json` writes for NaN, is NaN."""
     if isinstance(value, (str, bool)):
-        raise TypeError(f"summary.json holds {value!r} in the place of a number")
+        raise TypeError(f"summary.json holds {value!r} instead of a number")
     return float("nan") if value is None else float(value)
 
 
@@ -294,7 +336,7 @@ _OF_COLUMN: dict[str, Callable[[str], Any]] = {
 
 
 def _table(folder: Path, name: str, kind: type[_Row]) -> list[_Row]:
-    """Return the rows of a table; a column that is not in _OF_COLUMN holds numbers, NaN where it is empty."""
+    """Return the rows of a table; a column that is not in _OF_COLUMN holds numbers, NaN for an empty field."""
     with open(folder / name, newline="", encoding="utf-8") as stream:
         reader = csv.DictReader(stream, strict=True)
         rows = list(reader)

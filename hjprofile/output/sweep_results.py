@@ -1,4 +1,4 @@
-"""Sweeps: a case over the product of varied values, as one table; what is done is kept as it comes."""
+"""The results of a sweep over the product of varied values: one table, and members stored as they are solved."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from hjprofile.problem.ranges import instance, plain, shown
 from hjprofile.solvers.run import Array
 from hjprofile.studies.sweep import QUANTITIES, Member, Outcome, members, run_members, text_of
 
-KEPT = "members"  # folder of what is done
+KEPT = "members"  # subfolder of the stored members
 SHOWN = 14  # rows of the account
 LARGEST_VARIABLE = 2**31  # bytes of a netCDF-3 variable without an unlimited dimension, as scipy writes it
 _IN_ACCOUNT = ("eroded_volume", "toe_outflow", "largest_lowering", "kinks_at_end")
@@ -32,15 +32,15 @@ _COLUMNS = ("status", "method", *QUANTITIES, "broken_bounds", "wall_seconds")
 
 @dataclass(frozen=True)
 class Sweep:
-    """A case that was run once for each choice of values.
+    """A case that was run once for each combination of values.
 
     Attributes:
-        name, title: of the case.
+        name, title: name and title of the case.
         vary: dotted key -> its values.
-        values: for each member one value a key, in the order of the product: the last key varies fastest.
-        outcomes: what came of each member, in the same order.
+        values: for each member one value per key, in the order of the product: the last key varies fastest.
+        outcomes: the outcome of each member, in the same order.
         x: the nodes, if all members share them and their heights fit in one netCDF variable, else None.
-        recalled: how many members were taken from an earlier sweep.
+        recalled: the number of members that were taken from an earlier sweep.
     """
 
     name: str
@@ -53,11 +53,11 @@ class Sweep:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """How many values each key has."""
+        """The number of values of each key."""
         return tuple(map(len, self.vary.values()))
 
     def quantity(self, name: str) -> Array:
-        """A column of sweep.csv that holds numbers, over the grid of the values, `shape`; NaN where a member failed."""
+        """Return a numeric column of sweep.csv over the grid of the values, `shape`; NaN for a failed member."""
         return np.array([o.quantities.get(name, np.nan) for o in self.outcomes]).reshape(self.shape)
 
 
@@ -69,12 +69,31 @@ def sweep(
     resume: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Sweep:
-    """Runs a case for every choice of values, as in {"erosion.m": [0.5, 1, 2], "time.end": [1.0, 3.0]}.
+    """Run a case for every combination of values of some of its keys.
 
-    Members run one after another, or over any executor of `concurrent.futures`; they are the same to the last bit. A
-    failed member has its reason as status. With a folder, `sweep.csv` and `sweep.nc` are written to it, and members
-    are kept there as they are done: with `resume` those are not run again. Raises InputError for bad input, before
-    anything is run; RunError if workers are lost or the sweep is interrupted.
+    With a folder, `sweep.csv` and `sweep.nc` are written to it, and each member is stored there when it is solved.
+
+    Args:
+        case: the path of a case file, or the name of a case that comes with the package.
+        vary: dotted key -> values, as in {"erosion.m": [0.5, 1, 2], "time.end": [1.0, 3.0]}.
+            executor: an executor of `concurrent.futures`, or None for one member after the other; the results are the
+            same to
+            the last bit.
+        folder: the folder for the results, or None.
+        resume: True to use the members that are stored in the folder.
+        progress: a function that receives the finished fraction, from 0 to 1.
+
+    Returns:
+        The sweep. A failed member has its reason as status.
+
+    Raises:
+        InputError: for bad input, before any run.
+        RunError: if workers are lost or the sweep is interrupted.
+
+    >>> import hjprofile as hj
+    >>> found = hj.sweep("two_kinks", {"domain.cells": [20, 40], "time.end": [0.5]})
+    >>> found.shape, [outcome.status for outcome in found.outcomes]
+    ((2, 1), ['done', 'done'])
     """
     if not isinstance(vary, Mapping) or not all(isinstance(key, str) for key in vary):
         raise InputError(f"vary = {shown(vary)} must be a table of keys and their values")
@@ -110,8 +129,8 @@ def sweep(
         if not kept:
             raise
         done = sum(outcome.done for outcome in outcomes.values())
-        what = f"{str(error) or 'interrupted'}; {done} of {len(made)} members are kept in {kept}"
-        raise RunError(f"{what}, and --resume goes on from there") from None
+        what = f"{str(error) or 'interrupted'}; {done} of {len(made)} members are stored in {kept}"
+        raise RunError(f"{what}, and --resume continues from them") from None
     grids = {m.grid for m in made if m.grid}
     title = made[0].content.get("title", made[0].name)
     found_all = [outcomes[i] for i in range(len(made))]
@@ -125,6 +144,7 @@ def sweep(
 
 
 def _list(key: str, values: Any) -> list[Any]:
+    """Return the values of a key as a list. Raise InputError for a single value."""
     scalar = isinstance(values, np.ndarray) and values.ndim == 0
     if scalar or isinstance(values, (str, Mapping)) or not isinstance(values, Iterable):
         raise InputError(f"{key} needs a list of values, one or more")
@@ -132,14 +152,14 @@ def _list(key: str, values: Any) -> list[Any]:
 
 
 def _keep(folder: Path, member: Member, outcome: Outcome) -> None:
-    """Arrays and text only, as in a checkpoint: reading it runs no code."""
+    """Store a member as arrays and text; reading them runs no code."""
     content = outcome._replace(u=None)._asdict() | {"identity": member.identity}
     archive = pack({"u": np.asarray(outcome.u), "outcome": np.array(to_json(content))})
     write_whole(folder / f"{member.identity}.npz", archive)
 
 
 def _recall(folder: Path, member: Member) -> Outcome | None:
-    """What was kept of the same run; None if there is nothing that can be read: then it is run again."""
+    """Return the stored outcome of the same run; None if there is no readable one."""
     try:
         kept = unpack(folder / f"{member.identity}.npz")
         content, u = json.loads(str(kept["outcome"])), kept["u"]
@@ -163,14 +183,14 @@ def _rows(result: Sweep) -> Iterator[tuple]:
 
 
 def _plain(value: float | None) -> Any:
-    """Counts without a point."""
+    """Return a whole number without a decimal point, other values unchanged."""
     return int(value) if value is not None and value == value and float(value).is_integer() else value
 
 
 def netcdf(result: Sweep) -> bytes:
-    """`sweep.nc`: netCDF-3 with CF attributes, a dimension for each varied key.
+    """Return the content of `sweep.nc`: netCDF-3 with CF attributes, a dimension for each varied key.
 
-    It holds no times of clocks: the same members give the same bytes, whoever ran them.
+    It holds no run times, so the same members give the same bytes.
     """
     from scipy.io import netcdf_file
 
@@ -209,9 +229,9 @@ def netcdf(result: Sweep) -> bytes:
     for name, long_name in QUANTITIES.items():
         put(name, "f8", dimensions, result.quantity(name), long_name=long_name, units="1", **with_labels)
     texts = {
-        "status": ("done, or why the member failed", [o.status for o in result.outcomes]),
-        "method": ("method that solved it", [o.method for o in result.outcomes]),
-        "broken_bounds": ("bounds that did not hold", [o.broken_bounds for o in result.outcomes]),
+        "status": ("done, or the reason of the failure", [o.status for o in result.outcomes]),
+        "method": ("method of the member", [o.method for o in result.outcomes]),
+        "broken_bounds": ("violated bounds", [o.broken_bounds for o in result.outcomes]),
     }
     for name, (long_name, values) in texts.items():
         variable = put_texts(name, dimensions, values, long_name)
@@ -219,7 +239,7 @@ def netcdf(result: Sweep) -> bytes:
             setattr(variable, attribute, value)
     if result.x is not None:
         file.createDimension("x", result.x.size)
-        long_name = "distance from the top of the slope, uphill positive"
+        long_name = "distance from the crest, positive uphill"
         put("x", "f8", ("x",), result.x, long_name=long_name, units="1", axis="X")
         nothing = np.full(result.x.size, np.nan)
         u = np.array([nothing if o.u is None else o.u for o in result.outcomes]).reshape(*result.shape, -1)
@@ -231,18 +251,18 @@ def netcdf(result: Sweep) -> bytes:
 
 
 def report(result: Sweep) -> dict[str, Any]:
-    """The table as a dictionary: a row for each member, with the columns of `sweep.csv`."""
+    """Return the table as a dictionary: a row for each member, with the columns of `sweep.csv`."""
     columns = [*result.vary, *_COLUMNS]
     members = [dict(zip(columns, row, strict=True)) for row in _rows(result)]
     return {"case": result.name, "title": result.title, "recalled": result.recalled, "members": members}
 
 
 def account(result: Sweep) -> str:
-    """What came of a sweep, in some twenty lines at most."""
+    """Return the account of a sweep, of about twenty lines at most."""
     done = sum(o.done for o in result.outcomes)
     failed = [(v, o.status) for v, o in zip(result.values, result.outcomes, strict=True) if not o.done]
     counts = f"{len(result.outcomes)} members, {done} done"
-    counts += f" ({result.recalled} of them before)" if result.recalled else ""
+    counts += f" ({result.recalled} of them in an earlier sweep)" if result.recalled else ""
     lines = [f"{result.title}: {counts}, {len(failed)} failed"]
     table = [[*result.vary, *_IN_ACCOUNT]]
     for values, o in list(zip(result.values, result.outcomes, strict=True))[:SHOWN]:
@@ -257,5 +277,5 @@ def account(result: Sweep) -> str:
         lines.append(f"  first failure, at {which}: {failed[0][1]}")
     broken = sum(bool(o.broken_bounds) for o in result.outcomes)
     if broken:
-        lines.append(f"  WARNING: bounds did not hold in {broken} members; broken_bounds names them")
+        lines.append(f"  WARNING: bounds are violated in {broken} members; the column broken_bounds names them")
     return "\n".join(lines)

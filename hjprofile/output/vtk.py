@@ -1,6 +1,6 @@
-"""VTK files for ParaView; the only module that knows pyvista.
+"""VTK files for ParaView; the only module that imports pyvista.
 
-Files are serialised in memory and written by Python: VTK's own writer says nothing when a disk is full.
+Files are serialised in memory and written by Python, because VTK's own writer does not report a full disk.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from hjprofile.solvers.run import Array, Run
 
 
 def vtk_files(run: Run) -> dict[str, bytes | str]:
-    """Name -> content: profiles and kinks at each saved time with their `.pvd`, and the (x, t) sheet.
+    """Return name -> content: profiles and kinks at each saved time with their `.pvd`, and the (x, t) sheet.
 
-    A survey's files are in its own units; time stays dimensionless.
+    The files of a survey are in its units; time stays dimensionless.
     """
     files: dict[str, bytes | str] = {}
     collections: dict[str, list[tuple[float, str]]] = {"profile": [], "kinks": []}
@@ -35,14 +35,14 @@ def vtk_files(run: Run) -> dict[str, bytes | str]:
 
 
 def _places(run: Run, x: Array, u: Array) -> tuple[Array, Array, float]:
-    """x and u in the units of the survey, if there is one, and the critical slope."""
+    """Return x and u in the units of the survey, if there is one, and the critical slope."""
     if run.units is None:
         return x, u, 1.0
     return run.units.x(x), run.units.height(u), run.units.critical_slope
 
 
 def _at_nodes(q: Array) -> Array:
-    """Cell means carried to the nodes: mean of both neighbours, at the ends the only one."""
+    """Return cell means at the nodes: the mean of both neighbours, at each end the only one."""
     padded = np.concatenate([q[..., :1], q, q[..., -1:]], axis=-1)
     return 0.5 * (padded[..., 1:] + padded[..., :-1])
 
@@ -57,7 +57,7 @@ def _profile(run: Run, i: int) -> pyvista.PolyData:
     mesh.point_data["K"] = run.K[i]
     mesh.cell_data["q"] = run.q[i]
     mesh.point_data.active_scalars_name = None
-    mesh.cell_data.active_scalars_name = "q"  # what ParaView colours by at once
+    mesh.cell_data.active_scalars_name = "q"  # the array by which ParaView colours first
     return mesh
 
 
@@ -65,14 +65,14 @@ def _kinks(run: Run, i: int) -> pyvista.PolyData:
     kinks = run.kinks_at(i)
     at = np.array([k.x for k in kinks], dtype=float)
     x, u, _ = _places(run, at, np.interp(at, run.x, run.u[i]))
-    # without kinks 0 points, not an empty mesh: ParaView complains of a file that does not say so
+    # without kinks 0 points instead of an empty mesh, which ParaView rejects
     mesh = pyvista.PolyData(np.column_stack([x, u, np.zeros(at.size)]))
     length = run.units.length if run.units else 1.0
     mesh.point_data["kink"] = np.array([k.kink for k in kinks], dtype=np.int64)
     mesh.point_data["jump"] = np.array([k.jump for k in kinks], dtype=float)
     mesh.point_data["speed"] = length * np.array(
         [k.rankine_hugoniot_speed if np.isnan(k.speed) else k.speed for k in kinks],
-        dtype=float,  # seen only once
+        dtype=float,  # the kink was found at one saved time only
     )
     mesh.point_data.active_scalars_name = "jump"
     return mesh
@@ -82,7 +82,7 @@ def _sheet(run: Run) -> pyvista.RectilinearGrid:
     x, u, _ = _places(run, run.x, run.u)
     mesh = pyvista.RectilinearGrid(x, run.time, np.zeros(1))
     for axis, name in (("X", "x"), ("Y", "t"), ("Z", "z")):
-        getattr(mesh, f"Get{axis}Coordinates")().SetName(name)  # without a name VTK makes one up anew in each run
+        getattr(mesh, f"Get{axis}Coordinates")().SetName(name)  # VTK invents a missing name, a new one in each run
     for name, values in (("u", u), ("q", _at_nodes(run.q)), ("K", run.K)):
         mesh.point_data[name] = np.ascontiguousarray(values).ravel()
     mesh.point_data.active_scalars_name = "q"

@@ -1,4 +1,4 @@
-"""Processes that a command has beside its own: they heed no interrupt, and leave with it."""
+"""The auxiliary processes of a command, which ignore interrupts and end with it."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ MOST_WORKERS = 1000  # processes of one machine
 
 @contextmanager
 def drawing_helper(wanted: bool) -> Iterator[Executor | None]:
-    """A process that draws pictures: it loads what that takes while this one solves. None where it would not help."""
-    alone = hasattr(os, "fork") and watched()  # a fork with other threads may hang
+    """Provide a process that imports the drawing libraries while this one solves; None if it would not help."""
+    alone = hasattr(os, "fork") and watched()  # a fork of a process with other threads may hang
     if not (wanted and alone and (os.cpu_count() or 1) > 1):
         yield None
         return
@@ -33,15 +33,15 @@ def drawing_helper(wanted: bool) -> Iterator[Executor | None]:
     with undone(_kill), _workers()(1, multiprocessing.get_context("fork"), _prepare, (os.getpid(),)) as helper:
         with warnings.catch_warnings():  # Python 3.12 and later warn of all threads, but those here are safe
             warnings.simplefilter("ignore", DeprecationWarning)
-            helper.submit(int)  # so that it starts now
+            helper.submit(int)  # starts the process now
         yield helper
 
 
 @contextmanager
 def processes(workers: int | None) -> Iterator[Executor]:
-    """Workers for a sweep, one for each processor by default. Raises InputError if there were none.
+    """Provide workers for a sweep, one for each processor by default. Raise InputError for another number.
 
-    Each is a process begun anew: a fork takes locks along that nobody will open.
+    Each worker is spawned, because a fork inherits locks that nobody releases.
     """
     import multiprocessing
     from concurrent.futures import CancelledError
@@ -55,13 +55,13 @@ def processes(workers: int | None) -> Iterator[Executor]:
             try:
                 yield executor
             except BaseException as error:
-                with suppress(RuntimeError, CancelledError, TimeoutError):  # it may be broken already, or busy
+                with suppress(RuntimeError, CancelledError, TimeoutError):  # the pool may be broken already, or busy
                     last = executor.submit(int)
                     executor.shutdown(wait=False, cancel_futures=True)
-                    last.exception(0.5)  # by now it has dropped the cancelled calls, which would make it fail
-                _kill()  # their results would only be discarded
+                    last.exception(0.5)  # the pool has then removed the cancelled calls, which would make it fail
+                _kill()  # their results are not needed
                 if isinstance(error, KeyboardInterrupt):
-                    raise RunError("interrupted; nothing was left half-written", "interrupted") from None
+                    raise RunError("interrupted; no partial file was left", "interrupted") from None
                 raise
         del executor
         gc.collect()  # a process that ends with the semaphores of a pool causes a warning
@@ -88,7 +88,7 @@ def _workers() -> type[ProcessPoolExecutor]:
 
 @contextmanager
 def _unheard() -> Iterator[None]:
-    """Block signals for the processes that start in this context; this process receives a signal afterwards."""
+    """Hold back signals from the processes that start in this context; this process receives a signal afterwards."""
     heard: list[int] = []
     try:
         with answered(lambda number, _: heard.append(number)):
@@ -116,15 +116,15 @@ def _prepare(parent: int) -> None:
 
 
 def _ward(parent: int) -> None:
-    """A process that heeds no interrupt and leaves with its parent."""
+    """Make this process ignore interrupts and end with its parent."""
     import threading
 
     def leave_with_parent() -> None:
         while os.getppid() == parent:
             time.sleep(1.0)
-        os._exit(1)  # it was killed: nobody else would tell
+        os._exit(1)  # the parent was killed
 
-    signal.set_wakeup_fd(-1)  # a fork's is its parent's
-    for s in SIGNALS:  # the parent has a sentence for each, and ends a worker by SIGTERM
+    signal.set_wakeup_fd(-1)  # a fork inherits it from its parent
+    for s in SIGNALS:  # the parent reports them, and ends a worker by SIGTERM
         signal.signal(s, signal.SIG_DFL if s == signal.SIGTERM else signal.SIG_IGN)
     threading.Thread(target=leave_with_parent, daemon=True).start()

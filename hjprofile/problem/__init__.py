@@ -1,4 +1,4 @@
-"""What is solved: an erosion law, an initial profile, a grid, and the case file that states them."""
+"""Problems: an erosion law, an initial profile, the supplied mass, and the model."""
 
 from __future__ import annotations
 
@@ -20,25 +20,33 @@ from hjprofile.problem.ranges import SAME_TIME, instance, number, plain, shown
 
 LINES = "half", "whole"
 LONGEST_TITLE = 500  # characters; a picture wraps them into a dozen lines
-FAR_LEFT = 4.0  # lengths of a survey that a domain may have before its left end is taken for one in metres
+FAR_LEFT = 4.0  # ratio of domain to survey above which `left` is probably in metres
 
 
 @dataclass(frozen=True)
 class Problem:
-    """A slope and what is poured on it.
+    """A slope and the mass of grains supplied at its crest.
 
     Attributes:
         law: the erosion law f.
         profile: the profile at t = 0.
-        end: mass of grains poured in all; it serves as time.
-        snapshots: a count (evenly spaced, both ends) or the times that are kept.
-        coefficient: k(t, x) in place of the nonlocal factor (theory, §9); None for the factor itself.
-        supply_flux: of the rolling layer at the top where the slope is critical, which is the flux ε that is poured in
-            (theory, §8); 0 is the limit of slow erosion.
-        line: "half", the slope x <= 0 below its top, or "whole", of which the grid is a window (theory, §13).
+        end: the supplied mass at the end, dimensionless, 0 or more; it serves as time.
+        snapshots: the number of saved times (evenly spaced, both ends), or the increasing saved times in [0, end].
+        title: a title for pictures and files, at most 500 characters.
+        coefficient: k(t, x) that replaces the grain flux K (theory, §9); None for K itself.
+        supply_flux: the flux ε that is supplied at the crest of a rolling layer (theory, §8); 0 is the limit of slow
+            erosion.
+        line: "half", the slope x <= 0 below its crest, or "whole", of which the grid is a window (theory, §13).
 
-    Raises InputError if one of these makes no sense, or two do not go together. Whether profile, law, grid and method
-    do is looked at when a run begins, before anything is computed.
+    The combination of profile, law, grid and method is checked when a run begins, before anything is computed.
+
+    Raises:
+        InputError: if an attribute is out of range, or two of them do not go together.
+
+    >>> import hjprofile as hj
+    >>> problem = hj.Problem(hj.rational(), hj.kinks([-7.0, -5.0], [0.4, 1.2]), end=3.0, snapshots=4)
+    >>> print(problem.times)
+    [0. 1. 2. 3.]
     """
 
     law: ErosionLaw
@@ -63,16 +71,18 @@ class Problem:
         object.__setattr__(self, "snapshots", _count_or_times(self.snapshots, self.end))
         if self.supply_flux and self.law.name != "rational":
             raise InputError(
-                f"supply_flux = {self.supply_flux:g} needs the law 'rational', not {self.law.name!r}: the model with a "
-                "rolling layer has no other"
+                f"supply_flux = {self.supply_flux:g} needs the law 'rational', not {self.law.name!r}, because a "
+                "rolling layer is modelled for that law only"
             )
         if self.line not in LINES:
             raise InputError(f"line = {shown(self.line)} is not known; allowed are {', '.join(map(repr, LINES))}")
         if self.supply_flux and self.line == "whole":
-            raise InputError(f"supply_flux = {self.supply_flux:g} needs line = 'half': grains that start at the top")
+            raise InputError(
+                f"supply_flux = {self.supply_flux:g} needs line = 'half', because the grains start at the crest"
+            )
         models = self._models()
         if len(models) > 1:
-            raise InputError(f"{' and '.join(models)} do not go together")
+            raise InputError(f"{' and '.join(models)} cannot be combined")
         self._check_units()
 
     def _check_units(self) -> None:
@@ -81,11 +91,12 @@ class Problem:
         known = self.coefficient.units if self.coefficient is not None else None
         if units and known and not units.same(known):
             raise InputError(
-                f"the coefficient is of a slope with {known}, and the profile has {units}; use the same units for both"
+                f"the coefficient was found for a survey with {known}, but the profile has {units}; "
+                "use the same units for both"
             )
 
     def _models(self) -> dict[str, Model]:
-        """What is asked for beyond slow erosion, by its name in sentences."""
+        """Return the models that this problem requests beyond slow erosion, by their names in messages."""
         models: dict[str, Model] = {}
         if self.coefficient is not None:
             models["a coefficient"] = Prescribed(self.coefficient)
@@ -99,19 +110,19 @@ class Problem:
 
     @property
     def model(self) -> Model:
-        """What is modelled, of five that exclude each other (`problem/model.py`)."""
+        """The model, one of five that exclude each other (`problem/model.py`)."""
         return next(iter(self._models().values()), SlowErosion())
 
     @property
     def kept(self) -> int:
-        """How many times are kept."""
+        """The number of saved times."""
         if not isinstance(self.snapshots, int):
             return len(self.snapshots)
         return self.snapshots if self.end else 1
 
     @property
     def times(self) -> np.ndarray:
-        """The times that are kept, increasing."""
+        """The saved times, increasing, shape (kept,)."""
         if not isinstance(self.snapshots, int):
             return np.array(self.snapshots)
         if self.end == 0:
@@ -130,14 +141,17 @@ class Problem:
         )
 
     def grid(self, tail: float = TAIL) -> Grid:
-        """A grid over the profile, for methods whose accuracy does not depend on it. Raises InputError if unknown."""
+        """Return a grid over the profile, for methods whose accuracy does not depend on it.
+
+        Raise InputError if its left end cannot be determined.
+        """
         if self.line == "whole":
-            raise InputError("line = 'whole' needs a grid that says where the window ends")
+            raise InputError("line = 'whole' needs a grid with the right end of the window")
         return self.profile.grid(tail=tail)
 
-    @np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks refuse
+    @np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks reject
     def check(self, grid: Grid) -> None:
-        """Raises InputError if the problem cannot be solved on this grid by any method."""
+        """Raise InputError if no method can solve the problem on this grid."""
         instance("grid", grid, Grid)
         grid.check_memory(self.kept)
         self.check_line(grid)
@@ -146,12 +160,12 @@ class Problem:
             self.coefficient.check(grid.nodes, self.end)
 
     def check_line(self, grid: Grid) -> None:
-        """Raises InputError if the grid ends where the line does not."""
+        """Raise InputError if the right end of the grid does not fit the line."""
         if self.line == "half" and grid.right:
-            raise InputError(f"right = {grid.right:g} needs line = 'whole'; on the half line the top is at x = 0")
+            raise InputError(f"right = {grid.right:g} needs line = 'whole'; on the half line the crest is at x = 0")
 
     def check_profile(self, grid: Grid) -> None:
-        """Raises InputError if the profile does not fit the grid, or goes on beyond a window."""
+        """Raise InputError if the profile does not fit the grid, or continues beyond a window."""
         if self.line == "whole":
             moved(self.profile, 0.0)
         self.profile.check(grid, self.law)
@@ -160,9 +174,9 @@ class Problem:
 
 
 def _count_or_times(given: Any, end: float) -> int | tuple[float, ...]:
-    """Return a count of saved times, or the times. A time within rounding of 0 or of `end` is set to it.
+    """Return a number of saved times, or the times. Set a time within rounding of 0 or of `end` to it.
 
-    Raises InputError.
+    Raise InputError for other values.
     """
     given = plain(given)
     if isinstance(given, int):

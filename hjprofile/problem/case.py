@@ -1,4 +1,4 @@
-"""Case files: TOML that states a problem, its grid and how to solve it. Every key is known or refused."""
+"""The schema of case files: the sections, their keys, and the functions that build a case from them."""
 
 from __future__ import annotations
 
@@ -62,13 +62,22 @@ class Case:
     """A case file, read and checked.
 
     Attributes:
-        name: of the file, without `.toml`.
-        source: where it came from, for messages.
-        method, cfl, tolerance: how to solve it.
-        refresh: how long the factor is kept before it is taken anew (theory, §10); None for anew in every step.
-        vtk, plots: what to write beside `profile.nc` and the tables.
+        name: the name of the file, without `.toml`.
+        source: the path of the file, for messages.
+        problem: the law, the profile and the supplied mass.
+        grid: the cells and nodes, in exchange lengths.
+        method: the name of the method.
+        cfl: the CFL number.
+        tolerance: the largest allowed error of u at the saved times, dimensionless; None if none is requested.
+        refresh: the refresh interval of a frozen coefficient, a supplied mass (theory, §10); None for every time step.
+        vtk, plots: True if VTK files and pictures are written in addition to `profile.nc` and the tables.
         checkpoint: seconds between two checkpoints of a run on a grid.
-        expect: what the case's own test asserts.
+        expect: the values that the test of the case asserts.
+
+    >>> import hjprofile as hj
+    >>> case = hj.load_case("two_kinks")
+    >>> case.name, case.grid.cells
+    ('two_kinks', 2000)
     """
 
     name: str
@@ -86,10 +95,22 @@ class Case:
 
 
 def load_case(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Case:
-    """Read a case file; `overrides` replaces values by dotted key, as in {"domain.cells": 500}.
+    """Read a case file and check it.
 
-    Values may be numpy's numbers and arrays, or tuples. `path` may be the name of a case that comes with the package.
-    Raises InputError: for each fault a sentence that names file, key, value and the allowed values.
+    Args:
+        path: the path of a TOML file, or the name of a case that comes with the package.
+        overrides: values that replace those of the file, by dotted key; numbers and arrays of numpy and tuples are
+            accepted.
+
+    Returns:
+        The case.
+
+    Raises:
+        InputError: for each fault a message with file, key, value and the allowed values.
+
+    >>> import hjprofile as hj
+    >>> hj.load_case("two_kinks", {"domain.cells": 500}).grid.cells
+    500
     """
     path = find_case(path)
     content = read_case(path)
@@ -103,7 +124,7 @@ def load_case(path: str | Path, overrides: Mapping[str, Any] | None = None) -> C
 
 
 def _overriding(overrides: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return key -> value as TOML could hold it. Raises InputError if a key is not one of a case."""
+    """Return key -> value as TOML could hold it. Raise InputError if a key is not one of a case."""
     if not isinstance(overrides, (Mapping, type(None))):
         raise InputError(f"overrides = {shown(overrides)} must be a table of keys and values", "a-case-file")
     for key in overrides or {}:
@@ -112,11 +133,11 @@ def _overriding(overrides: Mapping[str, Any] | None) -> dict[str, Any]:
     return {key: plain(value) for key, value in (overrides or {}).items()}
 
 
-@np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks refuse
+@np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks reject
 def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -> Case:
-    """A case from parsed TOML; paths in it are relative to `base`.
+    """Return a case from parsed TOML; paths in it are relative to `base`.
 
-    Raises one InputError with all faults. First each section is checked alone, then those without fault together.
+    Check each section alone first, then the sections without fault together. Raise one InputError with all faults.
     """
     faults = Faults(source)
     top, sections = _sections(faults, content, name)
@@ -135,12 +156,12 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
         problem = replace(problem, law=law, profile=profile)
         problem = _together(sections, problem, grid, given, layer | domain)
     faults.stop()
-    assert grid and problem  # else there is a fault
+    assert grid and problem  # `stop` has raised otherwise
     return Case(name, source, problem, grid, **solver, **output, expect=dict(top["expect"]))
 
 
 def _sections(faults: Faults, content: Mapping[str, Any], name: str) -> tuple[dict[str, Any], dict[str, Table]]:
-    """Return the values above all sections, and the sections. One whose name is misspelt is not checked."""
+    """Return the values above all sections, and the sections. Do not check a section whose name is misspelt."""
     table = Table(faults, "", content)
     top = table.take(TOP)
     title = name if top["title"] is None else top["title"]
@@ -153,7 +174,7 @@ def _sections(faults: Faults, content: Mapping[str, Any], name: str) -> tuple[di
 
 
 def _grid(table: Table, domain: Mapping[str, Any], profile: Profile | None, tolerance: float | None) -> Grid | None:
-    """Return the grid of a [domain]; None if it is at fault, or if it begins where a profile does that is at fault."""
+    """Return the grid of a [domain]; None if the section, or the profile that determines its left end, is at fault."""
     with table.noting():
         if table.sound and domain["left"] is not None:
             return Grid(domain["left"], domain["cells"], domain["right"])
@@ -163,7 +184,7 @@ def _grid(table: Table, domain: Mapping[str, Any], profile: Profile | None, tole
 
 
 def _timed(table: Table, time: Mapping[str, Any], title: str) -> Problem | None:
-    """Return a problem with the times of a [time]; its law and profile stand in for those of the case."""
+    """Return a problem with the times of a [time]; its law and profile are placeholders."""
     with table.noting():
         if table.sound:
             return Problem(erosion.rational(), profiles.kinks([-1.0], [1.0]), title=title, **time)
@@ -173,7 +194,7 @@ def _timed(table: Table, time: Mapping[str, Any], title: str) -> Problem | None:
 def _together(
     sections: Mapping[str, Table], problem: Problem, grid: Grid | None, given: Coefficient | None, rest: dict[str, Any]
 ) -> Problem:
-    """Return the whole problem. Note parts that do not go together, or do not fit the grid; None stands for no part."""
+    """Return the whole problem. Note parts that do not go together or do not fit the grid; None is an absent part."""
     domain, medium = sections["domain"], sections["coefficient"]
     with medium.noting():
         problem = replace(problem, coefficient=given)
@@ -194,7 +215,7 @@ def _together(
 
 
 def law_from(table: Mapping[str, Any]) -> ErosionLaw:
-    """The law of an `[erosion]` table of a stored case, without the case. Raises InputError as `load_case` does."""
+    """Return the law of the `[erosion]` table of a stored case. Raise InputError as `load_case` does."""
     faults = Faults("the stored case")
     law: ErosionLaw = LAWS.build(Table(faults, "erosion", table), Path())
     faults.stop()
@@ -205,7 +226,7 @@ def resolved_case(
     problem: Problem, grid: Grid, method: str, cfl: float = DEFAULT_CFL, tolerance: float | None = None,
     refresh: float | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """The case, with every default filled in, as a table ready for TOML."""
+    """Return the case as a table ready for TOML, with every default filled in."""
     domain = {"left": grid.left, "cells": grid.cells, "line": problem.line, "right": grid.right}
     solver = {"method": method, "cfl": cfl, "tolerance": tolerance, "refresh": refresh}
     sections = {
@@ -221,5 +242,5 @@ def resolved_case(
 
 
 def to_toml(content: Mapping[str, Any]) -> str:
-    """TOML text of a resolved case."""
+    """Return the TOML text of a resolved case."""
     return tomli_w.dumps(dict(content))

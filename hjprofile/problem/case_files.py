@@ -1,4 +1,4 @@
-"""Case files on disk: where they are, and the TOML in them and on the command line."""
+"""The files of cases on disk, and the TOML in them and on the command line."""
 
 from __future__ import annotations
 
@@ -15,16 +15,24 @@ from hjprofile.problem.ranges import as_path
 
 
 def shipped_cases() -> dict[str, Path]:
-    """Name -> file of the cases that come with the package."""
+    """Return the cases that come with the package.
+
+    Returns:
+        Name of the case -> path of its file, in alphabetical order.
+
+    >>> import hjprofile as hj
+    >>> "two_kinks" in hj.shipped_cases()
+    True
+    """
     here = Path(__file__).resolve().parent.parent
-    for folder in (here / "cases", here.parent / "cases"):  # installed; a source checkout
+    for folder in (here / "cases", here.parent / "cases"):  # of an installed package; of a source checkout
         if folder.is_dir():
             return {path.stem: path for path in sorted(folder.glob("*.toml"))}
     return {}
 
 
 def find_case(case: str | Path) -> Path:
-    """The file of a case given by its path or by the name of a shipped one."""
+    """Return the file of a case, given by path or by the name of a case of the package. Raise InputError if none."""
     path = located(Path(), as_path("case", case))
     try:
         if path.is_file():
@@ -36,17 +44,18 @@ def find_case(case: str | Path) -> Path:
         return shipped[str(case)]
     names = {name: name for name in shipped}
     with suppress(OSError, ValueError):  # a folder that may not be entered, a NUL
-        names |= {beside.stem: str(beside) for beside in path.parent.glob("*.toml")}
+        names |= {other.stem: str(other) for other in path.parent.glob("*.toml")}
     hint = did_you_mean(path.stem, names)
     folder = " (it is a folder)" if case and path.is_dir() else ""
     raise InputError(
-        f"{case}: no such file{folder}, nor a case that comes with the package{hint} (they are: {', '.join(shipped)})",
+        f"{case}: there is no such file{folder}, and no case of the package has this name{hint} "
+        f"(its cases are: {', '.join(shipped)})",
         "a-case-that-is-not-there",
     )
 
 
 def read_case(path: Path) -> dict[str, Any]:
-    """The tables of a case file, unchecked. Raises InputError if it cannot be read or is not TOML."""
+    """Return the tables of a case file, unchecked. Raise InputError if the file cannot be read or is not TOML."""
     text = ""
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -56,7 +65,7 @@ def read_case(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         message = f"{path}: cannot be read: it is not text in UTF-8 ({error}); save it as UTF-8"
         raise InputError(message, "a-file-that-cannot-be-read") from None
-    except (ValueError, RecursionError) as error:  # beside bad syntax: integers of thousands of digits, deep nesting
+    except (ValueError, RecursionError) as error:  # bad syntax, integers of thousands of digits, deep nesting
         found = re.search(r"\(at line (\d+), column \d+\)$", str(error))
         line = text.split("\n")[int(found[1]) - 1].strip()[:60] if found else ""
         shown = f", which reads {line!r}" if line else ""
@@ -65,9 +74,9 @@ def read_case(path: Path) -> dict[str, Any]:
 
 
 def read_choices(arguments: Sequence[str]) -> dict[str, list[Any]]:
-    """Dotted key -> values, from texts as `erosion.m=0.5,1,2`: values as TOML writes them, or plain words for strings.
+    """Return dotted key -> values, read from texts such as `erosion.m=0.5,1,2`.
 
-    Raises InputError.
+    Values are written as in TOML; a plain word is a string. Raise InputError for other texts.
     """
     choices: dict[str, list[Any]] = {}
     for argument in arguments:
@@ -75,7 +84,7 @@ def read_choices(arguments: Sequence[str]) -> dict[str, list[Any]]:
         if not equals:
             raise InputError(f"{argument!r} must be written section.key=value,value,...", "a-sweep")
         if key in choices:
-            raise InputError(f"{key} is there twice; name all its values at once", "a-sweep")
+            raise InputError(f"{key} is given twice; list all its values at once", "a-sweep")
         word = r"(?<=,)\s*(?!(?:true|false|inf|nan)\s*,)([A-Za-z][\w./-]*)\s*(?=,)"
         for array in (text, re.sub(word, r'"\1"', f",{text},")[1:-1]):
             with suppress(ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""A coefficient k(t, x) > 0 that is prescribed in place of the nonlocal factor: q_t + (k f(q))_x = 0 [eq:fixed_k]."""
+"""Coefficients k(t, x) > 0 that are prescribed in place of the grain flux K: q_t + (k f(q))_x = 0 [eq:fixed_k]."""
 
 from __future__ import annotations
 
@@ -21,21 +21,25 @@ from hjprofile.problem.stored import read_profile
 from hjprofile.problem.units import Units
 from hjprofile.problem.user_code import evaluating, load_function, over_arrays
 
-PROBE = np.array([[0.0], [0.25]]), np.array([-0.5, -0.25, 0.0])  # (t, x): does a function take arrays?
+PROBE = np.array([[0.0], [0.25]]), np.array([-0.5, -0.25, 0.0])  # (t, x) at which a function is tried with arrays
 
 
 @dataclass(frozen=True)
 class Coefficient:
-    """k(t, x), which the flux k f(q) has for a factor (theory, §9).
+    """A coefficient k(t, x) of the flux k f(q) (theory, §9).
 
     Attributes:
-        function: (t, x) -> k, for arrays that broadcast against each other.
-        table: the `[coefficient]` table of a case file that makes it again.
-        steady: whether k is known not to depend on t.
-        left, end: where k is known: for left <= x <= 0, 0 <= t <= end.
-        content: a hash of the file or of the values that hold k; "" where `table` holds everything; None for a
-            function of no file.
-        units: of the survey on whose slope k was found, else None.
+        function: (t, x) -> k, for arrays that broadcast; t is the supplied mass, x is in exchange lengths.
+        table: the `[coefficient]` table of a case file that makes this coefficient again.
+        steady: True if k is known not to depend on t.
+        left, end: the range in which k is known: left <= x <= 0, 0 <= t <= end.
+        content: a hash of the file or of the values that hold k; "" if `table` holds everything; None for a function
+            that is in no file.
+        units: the units of the survey for which k was found, else None.
+
+    >>> import hjprofile as hj
+    >>> hj.coefficient("exp(-0.2*x)").steady
+    True
     """
 
     function: Callable[[Any, Any], Any]
@@ -47,13 +51,13 @@ class Coefficient:
     units: Units | None = None
 
     def values(self, t: Any, x: Any) -> Array:
-        """k at times t and places x, arrays that broadcast against each other.
+        """Return k at times t and positions x, arrays that broadcast; the result has their common shape.
 
-        Raises RunError, which says where, if k is not a positive number.
+        Raise RunError with t and x if k is not a positive number there.
         """
         t, x = np.asarray(t, dtype=float), np.asarray(x, dtype=float)
         with evaluating("the coefficient", RunError):
-            k = np.asarray(self.function(t.copy(), x.copy()), dtype=float)  # it may write into its arguments
+            k = np.asarray(self.function(t.copy(), x.copy()), dtype=float)  # the function may write into its arguments
         with np.errstate(all="ignore"):
             k = np.array(np.broadcast_to(k, np.broadcast_shapes(t.shape, x.shape)))
             wrong = ~RANGES["k"].holds(k)
@@ -66,11 +70,11 @@ class Coefficient:
         return k
 
     def check(self, x: Array, end: float) -> None:
-        """Raises InputError unless k is known on these nodes up to `end`, and positive there at either end of time."""
+        """Raise InputError unless k is known on these nodes up to `end`, and positive there at t = 0 and t = `end`."""
         if self.left > x[0] + 1e-9 * abs(x[0]):
-            raise InputError(f"the coefficient is known from x = {self.left:g} on, and the domain begins at {x[0]:g}")
+            raise InputError(f"the coefficient is known from x = {self.left:g} on, but the domain begins at {x[0]:g}")
         if self.end < end * (1.0 - 1e-9):
-            raise InputError(f"the coefficient is known until t = {self.end:g}, and the run ends at {end:g}")
+            raise InputError(f"the coefficient is known until t = {self.end:g}, but the run ends at {end:g}")
         try:
             for t in (0.0, end):
                 self.values(t, x)
@@ -79,10 +83,23 @@ class Coefficient:
 
 
 def coefficient(k: str | Callable[..., Any]) -> Coefficient:
-    """A coefficient from an expression in t and x, or from a Python function k(t, x), or k(x) where time is no matter.
+    """Return a prescribed coefficient k, the factor of the flux k f(q).
 
-    The function may take arrays that broadcast, or single numbers only (slower). An expression is made of numbers,
-    + - * / **, exp, log, log1p, expm1, sqrt. Raises InputError for anything else.
+    Args:
+            k: an arithmetic expression in t and x with + - * / **, exp, log, log1p, expm1, sqrt; or a Python function
+            k(t, x)
+            or k(x) of arrays that broadcast, or of single numbers (slower). t is the supplied mass, x is in exchange
+            lengths.
+
+    Returns:
+        The coefficient.
+
+    Raises:
+        InputError: for another expression or another type.
+
+    >>> import hjprofile as hj
+    >>> float(hj.coefficient("1 + t").values(0.5, -1.0))
+    1.5
     """
     if isinstance(k, str):
         return from_expression(k)
@@ -91,30 +108,47 @@ def coefficient(k: str | Callable[..., Any]) -> Coefficient:
     table = table_of(from_file, {"file": getattr(k, "__module__", None) or "", "function": getattr(k, "__name__", "k")})
     try:
         steady = len(inspect.signature(k).parameters) == 1
-    except (TypeError, ValueError):  # compiled functions need not say what they take
+    except (TypeError, ValueError):  # compiled functions need not have a signature
         steady = False
     return Coefficient(over_arrays((lambda t, x: k(x)) if steady else k, *PROBE), table, steady)
 
 
 @choice("expression", expression=STRIPPED)
 def from_expression(expression: str) -> Coefficient:
-    """A coefficient from an expression in t and x."""
+    """Return a coefficient from an expression in t and x."""
     checked = arithmetic(expression, "t", "x")
     return Coefficient(checked.value, {}, "t" not in checked.used, content="")
 
 
 @choice("python", file=TEXT, function=TEXT)
 def from_file(file: str | Path, function: str, base: Path | None = None) -> Coefficient:
-    """A coefficient from the function of that name in a Python file, which is run."""
+    """Return a coefficient from the function of that name in a Python file, which is run."""
     loaded = load_function(located(base or Path(), file), function)
     return replace(coefficient(loaded.function), content=loaded.content)
 
 
 @choice("run", result=TEXT)
 def stored_coefficient(result: str | Path, base: Path = Path()) -> Coefficient:
-    """The factor K of a run that was stored in a result folder, as a coefficient.
+    """Return the grain flux K of a stored run as a prescribed coefficient.
 
-    ln K is linear in t and in x between the saved times and the nodes. Raises InputError if there is no such run.
+    ln K is linear in t and in x between the saved times and the nodes.
+
+    Args:
+        result: the result folder of the run.
+        base: the folder to which `result` is relative.
+
+    Returns:
+        The coefficient, known on the domain and up to the end of that run.
+
+    Raises:
+        InputError: if the folder holds no run, or none that begins at t = 0 with K > 0.
+
+    >>> import hjprofile as hj
+    >>> try:
+    ...     hj.stored_coefficient("no such folder")
+    ... except hj.InputError:
+    ...     print("not a result folder")
+    not a result folder
     """
     path = located(base, as_path("result", result)) / "profile.nc"
     try:
@@ -135,14 +169,16 @@ def stored_coefficient(result: str | Path, base: Path = Path()) -> Coefficient:
 
 
 def tabulated(time: Array, x: Array, k: Array) -> Coefficient:
-    """The coefficient of values k, shape (times, places), at increasing times and places, ln k linear between."""
+    """Return the coefficient of values k, shape (times, positions), at increasing times and positions; ln k is linear
+    between.
+    """
     ln_k = np.log(k)
 
     def between(t: Array, at: Array) -> Array:
         (j, after), (i, right) = _place(time, t), _place(x, at)
         first = int(np.min(j))
         rows = ln_k[first : int(np.max(j)) + 2]
-        across = (1.0 - right) * rows[:, i] + right * rows[:, i + 1]  # in x first: times are few, places many
+        across = (1.0 - right) * rows[:, i] + right * rows[:, i + 1]  # in x first: few times, many positions
         j = j - first
         next_j = np.minimum(j + 1, len(rows) - 1)
         if at.ndim == 1 and t.shape[-1:] in ((), (1,)):
@@ -158,7 +194,7 @@ def tabulated(time: Array, x: Array, k: Array) -> Coefficient:
 
 
 def _place(knots: Array, at: Array) -> tuple[Array, Array]:
-    """The interval between knots, and the part of it that lies before `at`; what lies outside is brought to an end."""
+    """Return the interval between knots, and the part of it before `at`; move values outside to the nearest end."""
     at = np.clip(at, knots[0], knots[-1])
     i = np.clip(np.searchsorted(knots, at, "right") - 1, 0, max(knots.size - 2, 0))
     width = knots[np.minimum(i + 1, knots.size - 1)] - knots[i]

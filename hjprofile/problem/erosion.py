@@ -1,7 +1,7 @@
-"""Erosion laws f(q): the erosion rate per unit grain flux of a slope of excess q = u_x - 1.
+"""Erosion laws f(q): the erosion rate per unit grain flux at the excess slope q = u_x - 1.
 
-Assumptions [eq:f]: f in C², f(0) = 0, f' > 0, f'' < 0, f -> -∞ as q -> -1, f(q)/q -> 0 as q -> ∞. A law with
-growth "linear" instead of the last has f' -> η0 > 0: slopes then become infinite, and the profile jumps (theory, §14).
+Assumptions [eq:f]: f in C², f(0) = 0, f' > 0, f'' < 0, f -> -∞ as q -> -1, f(q)/q -> 0 as q -> ∞. Under linear growth
+the last one is replaced by f' -> η0 > 0: slopes then become infinite, and the profile jumps (theory, §14).
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from hjprofile.problem.ranges import Array, number, shown
 from hjprofile.problem.schema import choice, table_of
 from hjprofile.problem.user_code import Function, load_function, on_copies, over_arrays
 
-NEAR_ZERO = 0.05  # |q| below which f(q)/q is read from a polynomial: f may be a difference of numbers of order one
-DEGREES = 13, 29  # of the polynomial: the first whose last coefficients are below DIGITS of the largest
+NEAR_ZERO = 0.05  # |q| below which a polynomial gives f(q)/q: f may be a difference of numbers of order one
+DEGREES = 13, 29  # of the polynomial; the first one whose last coefficients are below DIGITS times the largest
 DIGITS = 1e-13
 TINY = -37.0  # ln|q| below which a decay is exponential to rounding
-NODES, HALVINGS = 16, 6  # of a panel of a decay, and how often it is halved at most for DIGITS
-NEWTON, LAST_MOVE = 30, 1e-14  # most steps to invert a panel, and the last of them, in parts of half a panel
-PROBE = np.array([0.5, -0.3, 2.0])  # slopes at which it is found out whether a function takes arrays
+NODES, HALVINGS = 16, 6  # nodes of a panel of a decay, and the largest number of halvings to reach DIGITS
+NEWTON, LAST_MOVE = 30, 1e-14  # largest number of Newton steps per panel; size of the last step, in half panels
+PROBE = np.array([0.5, -0.3, 2.0])  # slopes at which a function is tried with arrays
 LINEAR = "linear"  # the growth of a law outside [eq:f]
-FARTHEST = 1e5  # slopes beyond which f - q f' of a law of linear growth is taken as constant
+FARTHEST = 1e5  # slope beyond which f - q f' of a law of linear growth is taken as constant
 _STENCIL = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])  # eighth-order central difference
 
 
 def differentiate(f: Function) -> Function:
-    """f' by an eighth-order central difference with steps of 1 % of 1 + q, so that it never leaves q > -1.
+    """Return f' by an eighth-order central difference with steps of 1 % of 1 + q, which stay within q > -1.
 
-    On a scale of 1 + q truncation is below 1e-14 for logarithms and powers, rounding about 1e-14.
+    On a scale of 1 + q the truncation error is below 1e-14 for logarithms and powers, the rounding error about 1e-14.
     """
 
     def derivative(q):
@@ -51,15 +51,21 @@ def differentiate(f: Function) -> Function:
 
 @dataclass(frozen=True)
 class ErosionLaw:
-    """An erosion function with all that is derived from it; every function takes and returns arrays.
+    """An erosion law and the functions derived from it, which take and return arrays of any shape.
 
     Attributes:
-        f: the erosion function, defined for q > -1.
+        f: the erosion rate per unit grain flux, dimensionless, for q > -1.
         derivative: f', positive and decreasing.
         table: the `[erosion]` table of a case file that makes this law again.
-        closed_inverse: f⁻¹ where it is known in closed form.
+        closed_inverse: f⁻¹ if it is known in closed form, else None.
         eta0: η0 = lim f' as q -> ∞: 0 for the laws of [eq:f], positive for those of linear growth.
-        content: a hash of the file that holds f; "" where `table` holds everything; None for a function of no file.
+            content: a hash of the file that holds f; "" if `table` holds everything; None for a function that is in no
+            file.
+
+    >>> import hjprofile as hj
+    >>> law = hj.rational()
+    >>> law.name, float(law.f(1.0)), float(law.R(1.0))
+    ('rational', 0.5, 2.0)
     """
 
     f: Function
@@ -71,23 +77,23 @@ class ErosionLaw:
 
     @property
     def grows_linearly(self) -> bool:
-        """Whether slopes can become infinite and the profile can jump (theory, §14)."""
+        """True if slopes can become infinite and the profile can jump (theory, §14)."""
         return self.eta0 > 0.0
 
     @property
     def name(self) -> str:
-        """The law's name in a case file: "rational", "log", "power", "expression" or "python"."""
+        """The name of the law in a case file: "rational", "log", "power", "expression" or "python"."""
         return str(self.table["law"])
 
     def inverse(self, y) -> Array:
-        """f⁻¹(y): the excess slope at which erosion is y. Raises ValueError where y is not a value of f."""
+        """Return f⁻¹(y), the excess slope at which f = y. Raise ValueError if y is not a value of f."""
         y = np.asarray(y, dtype=float)
         if self.closed_inverse is not None:
             q = self.closed_inverse(y)
         else:
             from scipy.optimize import elementwise
 
-            # in v = ln(1+q), where a law that is logarithmic at both ends is nearly straight
+            # in v = ln(1+q), in which a law that is logarithmic at both ends is nearly linear
             def residual(v, y):
                 return self.f(np.expm1(v)) - y
 
@@ -99,7 +105,7 @@ class ErosionLaw:
 
     @cached_property
     def _f_over_q(self) -> Chebyshev:
-        """f(q)/q for |q| <= NEAR_ZERO; an even number of nodes keeps q = 0 out of the sample."""
+        """The polynomial of f(q)/q for |q| <= NEAR_ZERO; an even number of nodes excludes q = 0 from the sample."""
         for degree in DEGREES:
             found = Chebyshev.interpolate(lambda q: self.f(q) / q, degree, domain=[-NEAR_ZERO, NEAR_ZERO])
             if np.abs(found.coef[-2:]).max() <= DIGITS * np.abs(found.coef).max():
@@ -108,22 +114,23 @@ class ErosionLaw:
 
     @cached_property
     def _f_over_q_derivative(self) -> Chebyshev:
+        """The derivative of `_f_over_q`."""
         return self._f_over_q.deriv()
 
     def R(self, q) -> Array:
-        """R = q/f(q), increasing; R(0) = 1/f'(0). W + R(q) is constant along characteristics (theory, §4)."""
+        """Return R = q/f(q), increasing; R(0) = 1/f'(0). W + R(q) is constant along characteristics (theory, §4)."""
         q = np.asarray(q, dtype=float)
         near = np.abs(q) <= NEAR_ZERO
         away = np.where(near, 1.0, q)
         return np.where(near, 1.0 / self._f_over_q(np.clip(q, -NEAR_ZERO, NEAR_ZERO)), away / self.f(away))
 
     def R_derivative(self, q) -> Array:
-        """R'(q) = (f - q f')/f² > 0."""
+        """Return R'(q) = (f - q f')/f² > 0."""
         q = np.asarray(q, dtype=float)
         near = np.abs(q) <= NEAR_ZERO
         inner, away = np.clip(q, -NEAR_ZERO, NEAR_ZERO), np.where(near, 1.0, q)
         f, gain = self.f(away), away
-        if self.grows_linearly:  # f - q f' grows, slowly at last, and far out is lost in rounding
+        if self.grows_linearly:  # at large q the growth of f - q f' is slow, and its value is lost in rounding
             gain = np.minimum(away, FARTHEST)
         return np.where(
             near,
@@ -132,9 +139,11 @@ class ErosionLaw:
         )
 
     def decay(self, q0: float, distance) -> Array:
-        """q at `distance` >= 0 to the right of a place with q = q0, where W + R(q) is constant in x.
+        """Return q at `distance` >= 0 to the right of a point with q = q0, where W + R(q) is constant in x.
 
-        Solves R'(q) q_x = -q (theory, §4); for the rational law q = q0 exp(-distance). `distance` may have any shape.
+        Solve R'(q) q_x = -q (theory, §4); for the rational law q = q0 exp(-distance). `distance` is in exchange lengths
+        and may
+        have any shape.
         """
         distance = np.asarray(distance, dtype=float)
         if self.name == "rational" or q0 == 0.0:
@@ -172,7 +181,9 @@ class ErosionLaw:
 
 
 def _chebyshev_panels(function: Function, edges: Array) -> tuple[Array, Array]:
-    """Return edges and Chebyshev coefficients, shape (NODES, panels), of a function, halving panels for DIGITS."""
+    """Return edges and Chebyshev coefficients, shape (NODES, panels), of a function; halve panels down to the error
+    DIGITS.
+    """
     nodes = chebyshev.chebpts1(NODES)
     to_coefficients = chebyshev.chebvander(nodes, NODES - 1).T * (2.0 / NODES)
     to_coefficients[0] *= 0.5
@@ -191,7 +202,12 @@ _law = partial(choice, chooser="law")
 
 @_law("rational")
 def rational() -> ErosionLaw:
-    """f = q/(1+q), the law of the slow-erosion limit [fex]."""
+    """Return the law f = q/(1+q) of the slow-erosion limit [fex].
+
+    >>> import hjprofile as hj
+    >>> float(hj.rational().f(1.0))
+    0.5
+    """
     return ErosionLaw(
         f=lambda q: q / (1.0 + q),
         derivative=lambda q: 1.0 / np.square(1.0 + q),
@@ -202,15 +218,31 @@ def rational() -> ErosionLaw:
 
 @_law("log")
 def log() -> ErosionLaw:
-    """f = ln(1+q)."""
+    """Return the law f = ln(1+q).
+
+    >>> import hjprofile as hj
+    >>> round(float(hj.log().f(1.0)), 6)
+    0.693147
+    """
     return ErosionLaw(f=np.log1p, derivative=lambda q: 1.0 / (1.0 + q), closed_inverse=np.expm1, content="")
 
 
 @_law("power", m=POSITIVE)
 def power(m: float) -> ErosionLaw:
-    """f = (1 - (1+q)^-m)/m with m > 0; m = 1 is the rational law, m -> 0 the logarithm.
+    """Return the law f = (1 - (1+q)^-m)/m; m = 1 is the rational law, m -> 0 the logarithm.
 
-    Raises InputError unless 1e-100 <= m <= 100.
+    Args:
+        m: the exponent, dimensionless, from 1e-100 to 100.
+
+    Returns:
+        The law.
+
+    Raises:
+        InputError: for another m.
+
+    >>> import hjprofile as hj
+    >>> float(hj.power(2.0).f(1.0))
+    0.375
     """
     m = number("m", m)
 
@@ -228,16 +260,28 @@ def power(m: float) -> ErosionLaw:
 
 @_law("expression", expression=STRIPPED, growth=TEXT)
 def expression(expression: str, growth: str | None = None) -> ErosionLaw:
-    """A law from an arithmetic expression in q: numbers, + - * / **, exp, log, log1p, expm1, sqrt.
+    """Return a law from an arithmetic expression in q.
 
-    Raises InputError for anything else, and for a law that breaks an assumption. `growth` as in `erosion_law`.
+    Args:
+        expression: text with numbers, q, + - * / **, exp, log, log1p, expm1, sqrt, at most 1000 characters.
+        growth: "linear" for a law whose slope f' tends to a positive limit (theory, §14), else None.
+
+    Returns:
+        The law.
+
+    Raises:
+        InputError: for another expression, and for a law that violates an assumption.
+
+    >>> import hjprofile as hj
+    >>> float(hj.expression("sqrt(1+q) - 1/sqrt(1+q)").f(3.0))
+    1.5
     """
     return replace(erosion_law(arithmetic(expression, "q").value, growth=growth), content="")
 
 
 @_law("python", file=TEXT, function=TEXT, growth=TEXT)
 def from_file(file: str | Path, function: str, growth: str | None = None, base: Path | None = None) -> ErosionLaw:
-    """A law from the function of that name in a Python file, which is run; `growth` as in `erosion_law`."""
+    """Return a law from the function of that name in a Python file, which is run; `growth` as in `erosion_law`."""
     loaded = load_function(located(base or Path(), file), function)
     return replace(erosion_law(loaded.function, growth=growth), content=loaded.content)
 
@@ -245,13 +289,28 @@ def from_file(file: str | Path, function: str, growth: str | None = None, base: 
 def erosion_law(
     f: Function, derivative: Function | None = None, inverse: Function | None = None, growth: str | None = None
 ) -> ErosionLaw:
-    """A law from a Python function of q; f' and the inverse are derived where they are not given.
+    """Return a law from a Python function f(q).
 
-    `f` may take arrays, or single numbers only (slower). Raises InputError if an assumption of [eq:f] is broken. With
-    growth = "linear" the last of them is replaced by f' -> η0 > 0 (theory, §14).
+    Args:
+        f: the erosion rate per unit grain flux, a function of q > -1, for arrays of any shape or for single numbers
+            (slower).
+        derivative: f'; None for a difference quotient of eighth order.
+        inverse: f⁻¹; None for a root finder.
+        growth: "linear" for a law whose slope f' tends to η0 > 0 as q -> ∞ (theory, §14), else None.
+
+    Returns:
+        The law.
+
+    Raises:
+        InputError: if an assumption of [eq:f] is violated; for growth = "linear" the last one is f' -> η0 > 0.
+
+    >>> import numpy as np
+    >>> import hjprofile as hj
+    >>> hj.erosion_law(np.log1p).eta0
+    0.0
     """
     if not (growth is None or (isinstance(growth, str) and growth == LINEAR)):
-        raise InputError(f"growth = {shown(growth)} must be 'linear', or left out for a law of sublinear growth")
+        raise InputError(f"growth = {shown(growth)} must be 'linear'; leave it out for a law of sublinear growth")
     for role, function in (("f", f), ("derivative", derivative), ("inverse", inverse)):
         if not (callable(function) or (function is None and role != "f")):
             raise InputError(f"{role} = {shown(function)} must be a function of one number or array")

@@ -1,4 +1,4 @@
-"""Arithmetic written as text: checked against a short list before anything is compiled."""
+"""Arithmetic expressions written as text, checked against a short list before anything is compiled."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ class Arithmetic(NamedTuple):
 
 
 class _FloatConstants(ast.NodeTransformer):
-    """Turns integers into floats, so that no power of integers can grow without bound."""
+    """A transformer of integers into floats, so that no power of integers can grow without bound."""
 
     def visit_Constant(self, node: ast.Constant) -> ast.Constant:
         return ast.copy_location(ast.Constant(float(node.value)), node)  # type: ignore[arg-type]
 
 
 def _checked(tree: ast.AST, text: str, variables: tuple[str, ...], allowed: str) -> set[str]:
-    """Return the names that a syntax tree uses. Raises InputError for any part that is not on the list."""
+    """Return the names that a syntax tree uses. Raise InputError for any part that is not on the list."""
     called = {id(n.func) for n in ast.walk(tree) if isinstance(n, ast.Call)}
     used = set()
     for node in ast.walk(tree):
@@ -58,10 +58,10 @@ def _checked(tree: ast.AST, text: str, variables: tuple[str, ...], allowed: str)
 
 
 def arithmetic(text: str, *variables: str) -> Arithmetic:
-    """An arithmetic expression in these variables: numbers, + - * / **, exp, log, log1p, expm1, sqrt.
+    """Return an arithmetic expression in these variables: numbers, + - * / **, exp, log, log1p, expm1, sqrt.
 
-    The syntax tree is checked against that list before anything is compiled. Where the value is no real number it is
-    NaN. Raises InputError for anything else.
+    The syntax tree is checked against that list before anything is compiled. A value that is not a real number is NaN.
+    Raise InputError for any other expression.
     """
     allowed = f"allowed are numbers, {', '.join(variables)}, + - * / ** and the functions {', '.join(_FUNCTIONS)}"
     if not isinstance(text, str):
@@ -70,7 +70,7 @@ def arithmetic(text: str, *variables: str) -> Arithmetic:
         raise InputError(f"expression is {len(text)} characters long; at most 1000 are allowed", ABOUT)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of '1or q' and the like, none of which is on the list
+            warnings.simplefilter("ignore")  # of '1or q' and similar, which the list excludes
             tree = ast.parse(text.strip(), mode="eval")
         used = _checked(tree, text, variables, allowed)
         tree = ast.fix_missing_locations(_FloatConstants().visit(tree))
@@ -87,7 +87,7 @@ def arithmetic(text: str, *variables: str) -> Arithmetic:
         with np.errstate(all="ignore"):
             try:
                 result = eval(code, {"__builtins__": {}, **_FUNCTIONS, **dict(zip(variables, arrays, strict=True))})
-            except (ArithmeticError, RecursionError):  # among constants: 1/0, 9.0**9.0**9.0
+            except (ArithmeticError, RecursionError):  # of constants alone: 1/0, 9.0**9.0**9.0
                 result = np.nan
             return np.nan + nothing if np.iscomplexobj(result) else result + nothing  # complex: (-1)**0.5
 

@@ -1,4 +1,4 @@
-"""Where a problem is solved: equal cells from the left end to the top of the slope, or of a window on the line."""
+"""Grids: equal cells from the toe to the crest of a slope, or over a window of the whole line."""
 
 from __future__ import annotations
 
@@ -12,18 +12,29 @@ import numpy as np
 from hjprofile.errors import InputError
 from hjprofile.problem.ranges import number, read_only, whole
 
-FARTHEST, LOOKS = 4096.0, 2000  # how far down a function is looked at, and at how many places between x and 2x
+FARTHEST, LOOKS = 4096.0, 2000  # distance down to which a function is sampled, and number of samples between x and 2x
 FEWEST_CELLS = 4
-NARROWEST = 1e-6  # window, as a part of its distance from x = 0: rounding must not join its nodes
+NARROWEST = 1e-6  # ratio of a window to its distance from x = 0: rounding must not join its nodes
 NOISE = 1e-11  # of the difference quotients there
 
 
 @dataclass(frozen=True)
 class Grid:
-    """`cells` equal cells on [left, right]; u and K live on the cells + 1 nodes, q on the cells.
+    """A grid of equal cells on [left, right]; u and K are given at the cells + 1 nodes, q in the cells.
 
-    Both ends are in exchange lengths, left < right. On the half line `right` is 0, the top of the slope; on the whole
-    line it is where the window ends. Raises InputError for other ends, or fewer than 4 cells.
+    Attributes:
+        left: the left end, in exchange lengths, less than `right`.
+        cells: the number of cells, 4 or more.
+            right: the right end, in exchange lengths; 0, the crest, on the half line, the end of the window on the
+            whole line.
+
+    Raises:
+        InputError: for other ends or numbers of cells.
+
+    >>> import hjprofile as hj
+    >>> grid = hj.Grid(left=-10.0, cells=2000)
+    >>> grid.dx, grid.nodes.shape
+    (0.005, (2001,))
     """
 
     left: float
@@ -40,21 +51,21 @@ class Grid:
             object.__setattr__(self, name, value)
 
     def __reduce__(self) -> tuple[type[Grid], tuple[float, int, float]]:
-        return type(self), (self.left, self.cells, self.right)  # a copy in another process makes its own nodes
+        return type(self), (self.left, self.cells, self.right)  # a copy in another process computes its own nodes
 
     @property
     def dx(self) -> float:
-        """Width of a cell."""
+        """The width of a cell, in exchange lengths."""
         return (self.right - self.left) / self.cells
 
     @cached_property
     def nodes(self) -> np.ndarray:
-        """x_i, shape (cells + 1,), read-only; the last is exactly `right`."""
+        """The nodes x_i, shape (cells + 1,), read-only; the last is exactly `right`."""
         return self._at(np.arange(self.cells, -1, -1))
 
     @cached_property
     def centres(self) -> np.ndarray:
-        """Midpoints of the cells, shape (cells,), read-only."""
+        """The midpoints of the cells, shape (cells,), read-only."""
         return self._at(np.arange(self.cells - 0.5, 0, -1))
 
     def _at(self, cells_from_right: np.ndarray) -> np.ndarray:
@@ -62,11 +73,11 @@ class Grid:
         return read_only(x + self.right if self.right else x)
 
     def integral(self, values: np.ndarray) -> float:
-        """∫ of a function given at the nodes, by the trapezoidal rule."""
+        """Return ∫ of a function given at the nodes, shape (cells + 1,), by the trapezoidal rule."""
         return self.dx * float(np.sum(values) - 0.5 * (values[0] + values[-1]))
 
     def check_memory(self, snapshots: int) -> None:
-        """Raises InputError if a run on this grid would need more than the machine's memory."""
+        """Raise InputError if a run on this grid would need more than the memory of the machine."""
         try:
             memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
         except (AttributeError, ValueError, OSError):  # not a POSIX system: let the allocation itself fail
@@ -76,24 +87,24 @@ class Grid:
         needed = int(self.cells) * cell
         if needed > memory:
             most = memory // cell
-            remedy = f"at most {most} cells fit" if most >= FEWEST_CELLS else "keep fewer snapshots"
+            remedy = f"at most {most} cells fit" if most >= FEWEST_CELLS else "use fewer snapshots"
             raise InputError(
                 f"cells = {self.cells} with {snapshots} snapshots needs {min(needed, 2**99) / 2**30:.3g} GiB of "
-                f"memory and this machine has {memory / 2**30:.3g}; {remedy}"
+                f"memory, but this machine has {memory / 2**30:.3g}; {remedy}"
             )
 
 
 def grid_from(start: float, cells: int) -> Grid:
-    """A grid that begins a little left of where q does. Raises InputError if that is not a number."""
+    """Return a grid that begins a little left of `start`. Raise InputError if that is not a finite number."""
     if not np.isfinite(start):
-        raise InputError("left must be given: a flux enters at the left end, wherever that is")
+        raise InputError("left must be given: a flux enters at the left end of the grid")
     return Grid(1.05 * min(start, 0.0) - 0.05, cells)
 
 
 def start_of(W: Callable[[np.ndarray], np.ndarray], tail: float) -> float:
-    """Where the slope W' of a function of x <= 0 begins to differ from 0 by more than `tail`, by looking at it.
+    """Return the first sampled x <= 0 at which the slope W' differs from 0 by more than `tail`.
 
-    Raises InputError if it cannot be looked at, or does so on the far left.
+    Raise InputError if W cannot be evaluated, or if its slope already differs at the leftmost sample.
     """
     x = -np.concatenate([np.arange(LOOKS) / LOOKS, 2.0 ** (np.arange(np.log2(FARTHEST) * LOOKS + 1) / LOOKS)])[::-1]
     try:
@@ -101,9 +112,9 @@ def start_of(W: Callable[[np.ndarray], np.ndarray], tail: float) -> float:
     except Exception as error:
         what = f"{type(error).__name__}: {error}"
         raise InputError(f"left must be given: the profile has no height down to x = {x[0]:g} ({what})") from error
-    away = ~(np.abs(slope) <= max(tail, NOISE))  # nor NaN
+    away = ~(np.abs(slope) <= max(tail, NOISE))  # NaN counts as different
     if away[0]:
         raise InputError(
-            f"left must be given: the profile is not critical (u_x = 1) at x = {x[0]:g}, but u_x = {1 + slope[0]:.6g}"
+            f"left must be given: the slope is not neutral (u_x = 1) at x = {x[0]:g}, where u_x = {1 + slope[0]:.6g}"
         )
     return float(x[np.argmax(away)]) if away.any() else 0.0

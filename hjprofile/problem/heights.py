@@ -1,4 +1,4 @@
-"""Heights of a survey that cannot be heights, and surveys of more than one flank."""
+"""Tests on the heights of a survey: numbers that cannot be heights, and surveys of more than one flank."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import numpy as np
 
 Array = np.ndarray
 
-# Numbers that programs write for missing heights. Each may be a height as well, so its neighbours decide
+# Numbers that programs write for missing heights. Each may also be a height, so the neighbouring rows decide.
 STAND_INS = -9999.0, 9999.0, -99999.0, 99999.0, -999.0, -32768.0, -32767.0, 32767.0
-HIGHEST = 1e12  # in any unit of length; larger numbers, 1e20 and ±3.4e38 among them, are no heights
-OUT_OF_LINE = 10.0  # times the steepest slope of the other rows, from the nearest of them
-FAR_OFF = 1000.0  # times the relief of all other rows, for a height that is no known stand-in
-FEW, ENOUGH_ROWS = 0.1, 10  # such heights are at most this part of the rows, of so many at least
-FLANK = 0.2  # smallest descent on either side of a crest, as a part of the relief
+HIGHEST = 1e12  # in any unit of length; larger numbers, such as 1e20 and ±3.4e38, are not heights
+OUT_OF_LINE = 10.0  # slope to the nearest other row, relative to the steepest slope of the other rows
+FAR_OFF = 1000.0  # gap to the other heights, relative to their relief, for a height that is not in STAND_INS
+FEW, ENOUGH_ROWS = 0.1, 10  # largest fraction of the rows with such heights; smallest number of rows
+FLANK = 0.2  # smallest descent on either side of a crest, relative to the relief
 
 
 def without_height(x: Array, height: Array) -> Array:
@@ -30,7 +30,7 @@ def without_height(x: Array, height: Array) -> Array:
 
 
 def _out_of_line(x: Array, height: Array, at: Array, value: float) -> bool:
-    """Return True if a height `value` at the positions `at` is far from the others, by their steepest slope."""
+    """Return True if a height `value` at the positions `at` is too steep a step from the nearest of the other rows."""
     if x.size < 2:
         return True
     steepest = np.max(np.abs(np.diff(height) / np.diff(x)))
@@ -52,13 +52,15 @@ def _far_off(height: Array) -> Array:
 
 
 def falls_on_the_whole(height: Array) -> bool:
-    """Return True if heights fall from left to right, by the medians of their halves, which resist a few wrong ones."""
+    """Return True if heights fall from left to right, by the medians of their halves, which are robust to a few wrong
+    heights.
+    """
     half = (height.size + 1) // 2
     return half > 0 and bool(np.median(height[:half]) > np.median(height[-half:]))
 
 
 def crest(height: Array) -> int | None:
-    """Return the highest row, if the survey rises to it on the whole and falls beyond, else None."""
+    """Return the highest row if the survey rises to it and falls beyond it, by the medians; else None."""
     top = int(np.argmax(height))
     left, right = height[:top], height[top + 1 :]
     if not (falls_on_the_whole(right) and falls_on_the_whole(left[::-1])):

@@ -22,11 +22,12 @@ TIMES = 9  # ... and times
 
 
 def identity(case: Case) -> dict[str, Any]:
-    """Return the resolved case without its title, a hash `data` of all that its table lacks, and that of the package.
+    """Return the resolved case without its title, a hash `data` of the data that the table lacks, and a hash of the
+    package.
 
     Files count by their bytes. Data that a Python file reads are covered by sampled values only: f over
-    1e-8 <= 1 + q <= 1e8, heights at the nodes, k at TIMES times and at MOST_PLACES nodes. Raises InputError for a
-    Python function of no file.
+    1e-8 <= 1 + q <= 1e8, heights at the nodes, k at TIMES times and at MOST_PLACES nodes. Raise InputError for a
+    Python function that is in no file.
     """
     problem = case.problem
     table = resolved_case(problem, case.grid, case.method, case.cfl, case.tolerance, case.refresh)
@@ -37,8 +38,8 @@ def identity(case: Case) -> dict[str, Any]:
             content = _content(part)
             if content is None:
                 raise InputError(
-                    f"{case.source}: the {name} is a Python function of no file, so that a checkpoint cannot be "
-                    "distinguished from that of another run; name its file in a case, or save no checkpoints",
+                    f"{case.source}: the {name} is a Python function that is in no file, so a checkpoint cannot "
+                    "identify it; name its file in a case, or save no checkpoints",
                     "a-checkpoint",
                 )
             digest.update(f"{name} {content}".encode())
@@ -56,8 +57,8 @@ def _content(part: ErosionLaw | Profile | Coefficient) -> str | None:
     """Return a hash of the data that the table of a part of a problem lacks; None if they are not available."""
     match part:
         case Points():
-            told = f"{part.height!r} {part.units!r}".encode()
-            return hashlib.sha256(part.x.tobytes() + part.q.tobytes() + told).hexdigest()
+            extra = f"{part.height!r} {part.units!r}".encode()
+            return hashlib.sha256(part.x.tobytes() + part.q.tobytes() + extra).hexdigest()
         case Kinks() | Bumps() | Steady():
             return ""
         case ErosionLaw() | Coefficient() | Given():
@@ -66,7 +67,7 @@ def _content(part: ErosionLaw | Profile | Coefficient) -> str | None:
 
 
 def _samples(case: Case) -> list[bytes]:
-    """Return values of the functions from Python files; other functions are fully given by the table."""
+    """Return values of the functions from Python files; the table determines all other functions."""
     problem, nodes = case.problem, case.grid.nodes
     law, profile, given = problem.law, problem.profile, problem.coefficient
     found = []
@@ -81,6 +82,7 @@ def _samples(case: Case) -> list[bytes]:
 
 
 def _values(function: Any, *at: Any) -> bytes:
+    """Return the values of a function as bytes, or the name of the exception that it raises."""
     with np.errstate(all="ignore"):
         try:
             return np.asarray(function(*at), dtype=float).tobytes()
@@ -90,7 +92,7 @@ def _values(function: Any, *at: Any) -> bytes:
 
 @cache
 def _package() -> str:
-    """Return a hash of the package's own modules, without the folder of cases of an installed package."""
+    """Return a hash of the modules of the package, without the folder of cases of an installed package."""
     home = Path(__file__).parent.parent
     found = (path for path in home.rglob("*.py") if path.parent.name != "cases")
     files = sorted((path.relative_to(home).as_posix(), path) for path in found)

@@ -1,4 +1,4 @@
-"""The kinds of values in case files: which TOML is admitted, and how a value is written back."""
+"""The kinds of values in case files: the admitted TOML values, and the TOML form of a value."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from hjprofile.problem.ranges import as_number, plain
 
 
 class Kind(NamedTuple):
-    """The values that a key admits.
+    """A kind of values of a key.
 
     Attributes:
-        words: that describe them in a message.
-        read: TOML -> value; raises TypeError or ValueError for others.
-        write: value, or what Python admits in its place -> TOML.
+        words: the description of the values in a message.
+        read: TOML -> value; raises TypeError or ValueError for other values.
+        write: value, or an equivalent value of Python -> TOML.
     """
 
     words: str
@@ -26,6 +26,8 @@ class Kind(NamedTuple):
 
 
 def _of_type(kind: type) -> Callable[[Any], Any]:
+    """Return a reader of values of one type."""
+
     def read(value: Any) -> Any:
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
             raise TypeError
@@ -47,7 +49,7 @@ def _read_positive(value: Any) -> float:
 
 
 def _read_whole(value: Any) -> int:
-    str(_of_type(int)(value))  # Python writes no number of more than 4300 digits
+    str(_of_type(int)(value))  # Python prints no number of more than 4300 digits
     return int(value)
 
 

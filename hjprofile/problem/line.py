@@ -1,4 +1,4 @@
-"""Profiles moved along the line and stretched, and what must lie right of a window on the whole line (theory, §13)."""
+"""Profiles shifted and stretched along the line, and their right-hand decay at the end of a window (theory, §13)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ABOUT = "the-whole-line"  # heading of the page on errors
 
 
 def moved(profile: Profile, distance: float) -> Profile:
-    """The profile `distance` further to the right. Raises InputError for one that belongs to the half line."""
+    """Return the profile shifted by `distance` to the right. Raise InputError for a profile of the half line."""
     match profile:
         case Kinks():
             return replace(profile, positions=profile.positions + distance)
@@ -24,7 +24,7 @@ def moved(profile: Profile, distance: float) -> Profile:
             return replace(profile, x=profile.x + distance)
         case Given():
             return replace(profile, u=lambda x: profile.u(x - distance) + distance)
-    raise InputError(f"kind = {profile.table['kind']!r} belongs to the half line; line = 'whole' cannot take it", ABOUT)
+    raise InputError(f"kind = {profile.table['kind']!r} is for the half line only; leave line = 'whole' out", ABOUT)
 
 
 def stretched(profile: Profile, factor: float) -> Profile:
@@ -44,9 +44,9 @@ def stretched(profile: Profile, factor: float) -> Profile:
 
 
 def tail(profile: Profile, right: float, law: ErosionLaw) -> float:
-    """q at the right end of a window, from which on I = W + R(q) is constant (theory, §4); q decays from there on.
+    """Return q at the right end of a window, from which on I = W + R(q) is constant (theory, §4) and q decays.
 
-    Raises InputError where it is not constant: then K at the window's end would depend on what lies beyond.
+    Raise InputError if I is not constant there: K at the right end would depend on the profile beyond it.
     """
     if isinstance(profile, Kinks):
         return float(law.decay(profile.amplitudes[-1], right - profile.positions[-1]))
@@ -57,11 +57,10 @@ def tail(profile: Profile, right: float, law: ErosionLaw) -> float:
         near = right + 1e-6 * np.array([-1.0, 0.0])
         beyond = float(np.abs(np.diff(profile.W(near, law))[0])) / 1e-6
     else:
-        beyond = 0.0  # `check` has seen to it
+        beyond = 0.0  # `Profile.check` guarantees it
     if beyond > TAIL:
         raise InputError(
-            f"the slope is not critical from right = {right:g} on (q or its mass is {beyond:.3g} there); "
-            "set right to more",
+            f"the slope is not neutral from right = {right:g} on (q or its mass is {beyond:.3g} there); increase right",
             ABOUT,
         )
     return 0.0

@@ -9,19 +9,19 @@ from hjprofile.problem.coefficient import Coefficient
 
 @dataclass(frozen=True)
 class SlowErosion:
-    """u_t + K f(u_x - 1) = 0 with K of the slope itself, on the half line x <= 0, under a law of sublinear growth."""
+    """Slow erosion u_t + K f(u_x - 1) = 0 on the half line x <= 0, under a law of sublinear growth."""
 
 
 @dataclass(frozen=True)
 class Prescribed:
-    """A coefficient k(t, x) in the place of K (theory, §9)."""
+    """Slow erosion with a coefficient k(t, x) in the place of K (theory, §9)."""
 
     coefficient: Coefficient
 
 
 @dataclass(frozen=True)
 class RollingLayer:
-    """The 2x2 model with a rolling layer, of this flux at the top (theory, §8)."""
+    """The 2x2 model with a rolling layer, of this flux at the crest (theory, §8)."""
 
     supply_flux: float
 

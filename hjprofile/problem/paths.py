@@ -1,4 +1,4 @@
-"""Paths of the files that a case names."""
+"""The paths of the files that a case names."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ UNREADABLE = "a-file-that-cannot-be-read"  # heading of the page on errors
 def located(base: Path, file: str | Path) -> Path:
     """Return the path of a file that a case names, relative to the folder `base`; ~ is the home folder."""
     path = Path(file)
-    with suppress(RuntimeError):  # there is no such home
+    with suppress(RuntimeError):  # this user has no home folder
         path = path.expanduser()
     return base / path
 
 
 def require_file(path: Path) -> None:
-    """Raise InputError unless `path` is a file; a folder has nothing to read, a pipe or a device may have no end."""
+    """Raise InputError unless `path` is a file. A folder has no content, and a pipe or a device may have no end."""
     try:
         there = path.is_file()
     except OSError as error:  # a name too long, a folder that may not be entered
         raise InputError(f"file = {str(path)!r} cannot be read: {error.strerror}", UNREADABLE) from None
     if not there:
-        beside: list[str] = []
+        siblings: list[str] = []
         with suppress(OSError, ValueError, NotImplementedError):  # no such folder, one that may not be entered, a NUL
-            beside = [other.name for other in path.parent.glob(f"*{path.suffix}") if other.is_file()]
-        hint = did_you_mean(path.name, beside)
+            siblings = [other.name for other in path.parent.glob(f"*{path.suffix}") if other.is_file()]
+        hint = did_you_mean(path.name, siblings)
         raise InputError(f"file = {str(path)!r} does not exist, or is not a file{hint}", UNREADABLE)

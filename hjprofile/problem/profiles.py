@@ -1,17 +1,11 @@
-"""Initial profiles, each known through W(x) = u - x, the height above the critical slope.
-
-Cell means of the excess slope q = u_x - 1 are differences of W, so a profile that gives W exactly gives exact
-cell means. W may tend to any constant on the left; only its slope enters the equation.
-"""
+"""The kinds of initial profiles, and the functions that make them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -21,91 +15,21 @@ from hjprofile.problem.grid import Grid, grid_from, start_of
 from hjprofile.problem.kinds import LIST, NUMBER, TEXT
 from hjprofile.problem.lists import above_minus_one, numbers, same_length, within
 from hjprofile.problem.paths import located
+from hjprofile.problem.profile_base import TAIL, Profile, kind
 from hjprofile.problem.ranges import Array, number, shown
-from hjprofile.problem.schema import Choice, choice, table_of
+from hjprofile.problem.schema import table_of
 from hjprofile.problem.units import Units
 from hjprofile.problem.user_code import evaluating, load_function, values_at
 
-TAIL = 1e-6  # mass and slope that a grid may cut off on the left; a grid solver's own error is larger
 GAUSS = np.polynomial.legendre.leggauss(16)
-kind = partial(choice, into="source")  # declares the maker of a profile
-
-
-class Profile:
-    """An initial profile. Subclasses give `W` and the left end of the support.
-
-    Attributes:
-        source: the `[profile]` table of a function that made this profile, as the class cannot compute it; else empty.
-        inflow: flux F that enters at the left end of a grid; 0 where q = 0 there.
-        units: of a survey, else None.
-        account: a sentence on what was done to the data, or "".
-    """
-
-    choice: ClassVar[Choice]
-    source: Mapping[str, Any] = MappingProxyType({})
-    units: Units | None = None
-    account: str = ""
-
-    @property
-    def table(self) -> Mapping[str, Any]:
-        """The `[profile]` table of a case file that makes this profile again."""
-        return self.source or self.choice.table(vars(self))
-
-    @property
-    def inflow(self) -> float:
-        return 0.0
-
-    def W(self, x: Array, law: ErosionLaw) -> Array:
-        """u - x at x (any shape)."""
-        raise NotImplementedError
-
-    def excess(self, x: Array, law: ErosionLaw) -> Array | None:
-        """q at x, on either side of a jump there; None where only W is known."""
-        return None
-
-    def start(self, tail: float = TAIL) -> float:
-        """The leftmost point at which q may differ from 0 by more than `tail`."""
-        raise NotImplementedError
-
-    def grid(self, cells: int = 2000, tail: float = TAIL) -> Grid:
-        """A grid over the profile, from a little left of where q begins to differ from 0 by more than `tail`."""
-        return grid_from(self.start(tail), cells)
-
-    def breaks(self, law: ErosionLaw) -> Array:
-        """Where q jumps or has a corner: rows (x, q on the left, q on the right), from left to right."""
-        return np.empty((0, 3))
-
-    def marks(self) -> Array | None:
-        """Positions between which q varies on no shorter scale than their distance; None if unknown."""
-
-    def q_means(self, grid: Grid, law: ErosionLaw) -> Array:
-        """Exact cell means of q, shape (cells,)."""
-        return np.diff(self.W(grid.nodes, law)) / grid.dx
-
-    def check(self, grid: Grid, law: ErosionLaw) -> None:
-        """Raises InputError if the profile does not fit the grid or its slope is not positive."""
-        start = self.start()
-        if self.inflow == 0.0 and start < grid.left:
-            raise InputError(
-                f"the profile reaches left to x = {start:.6g} but the domain begins at left = {grid.left:g}; "
-                f"left must be at most {start:.6g}"
-            )
-        self._check_rising(self.q_means(grid, law), grid)
-
-    @staticmethod
-    def _check_rising(q: Array, grid: Grid) -> None:
-        if not np.all((q > -1.0) & (q < np.inf)):
-            i = int(np.argmin(np.where(np.isfinite(q), q, -np.inf)))
-            raise InputError(
-                f"the profile does not rise near x = {grid.centres[i]:.6g}, where q = {q[i]:.6g}; "
-                "q must be finite and above -1 everywhere (u_x = 1 + q > 0, uphill to the right)"
-            )
 
 
 @kind("kinks", positions=LIST, amplitudes=LIST)
 @dataclass(frozen=True, eq=False)
 class Kinks(Profile):
-    """q jumps up to amplitudes[j] at positions[j] and decays by R'(q) q_x = -q (theory, §5); 0 on the left."""
+    """A profile of kinks: q jumps up to amplitudes[j] at positions[j] and decays by R'(q) q_x = -q (theory, §5); 0 on
+    the left.
+    """
 
     positions: Array
     amplitudes: Array
@@ -142,7 +66,7 @@ class Kinks(Profile):
         return q
 
     def _pieces(self, law: ErosionLaw) -> list[float]:
-        """W at each position."""
+        """Return W at each position."""
         W, met, at = 0.0, 0.0, []
         for j, (x, a) in enumerate(zip(self.positions, self.amplitudes, strict=True)):
             if j:
@@ -151,8 +75,8 @@ class Kinks(Profile):
                 W += float(law.R(before) - law.R(met))
             if not a > met:
                 raise InputError(
-                    f"amplitudes[{j}] = {a:g} must exceed the q = {met:.6g} that the kink at x = {x:g} meets: "
-                    "a kink is an upward jump of q"
+                    f"amplitudes[{j}] = {a:g} must exceed q = {met:.6g} on the left of the kink at x = {x:g}, "
+                    "because a kink is an upward jump of q"
                 )
             at.append(W)
         return at
@@ -170,7 +94,7 @@ class Kinks(Profile):
 @kind("bumps", amplitudes=LIST, centres=LIST, widths=LIST)
 @dataclass(frozen=True, eq=False)
 class Bumps(Profile):
-    """q = Σ a exp(-((x - c)/w)²)."""
+    """A profile of Gaussian bumps, q = Σ a exp(-((x - c)/w)²)."""
 
     amplitudes: Array
     centres: Array
@@ -184,7 +108,7 @@ class Bumps(Profile):
         self._check_slopes(0.0)
 
     def _check_slopes(self, right: float) -> None:
-        """q by the formula, sampled finely around every bump: a cell mean can hide a narrow dip."""
+        """Check q by its formula, sampled finely around every bump, because a cell mean can hide a narrow dip."""
         reach = self.widths[:, None] * np.linspace(-5, 5, 2001)
         x = np.minimum((self.centres[:, None] + reach).ravel(), right)
         q = self.excess(x) if self.amplitudes[self.amplitudes < 0.0].sum() <= -1.0 else np.zeros(1)
@@ -201,7 +125,7 @@ class Bumps(Profile):
         super().check(grid, law)
 
     def excess(self, x: Array, law: ErosionLaw | None = None) -> Array:
-        bumps = zip(self.amplitudes, self.centres, self.widths, strict=True)  # all at once would fill memory
+        bumps = zip(self.amplitudes, self.centres, self.widths, strict=True)  # one by one, to save memory
         return sum((a * np.exp(-np.square((x - c) / w)) for a, c, w in bumps), np.zeros_like(x))
 
     def start(self, tail: float = TAIL) -> float:
@@ -212,14 +136,14 @@ class Bumps(Profile):
         from scipy.special import erfc
 
         bumps = zip(0.5 * np.sqrt(np.pi) * self.amplitudes * self.widths, self.centres, self.widths, strict=True)
-        with np.errstate(over="ignore"):  # far from a narrow bump
+        with np.errstate(over="ignore"):  # underflow far from a narrow bump
             return sum((mass * erfc((c - x) / w) for mass, c, w in bumps), np.zeros_like(x))
 
 
 @kind("points", x=LIST, q=LIST)
 @dataclass(frozen=True, eq=False)
 class Points(Profile):
-    """q is linear between points (x, q), jumps where an x is repeated, and is 0 outside."""
+    """A piecewise linear profile of q between points (x, q), with a jump at a repeated x, and q = 0 outside."""
 
     x: Array
     q: Array
@@ -234,7 +158,7 @@ class Points(Profile):
         if np.any(np.diff(x) < 0):
             raise InputError(f"x[{np.argmax(np.diff(x) < 0) + 1}] must not be left of the point before it")
         if np.any((np.diff(x)[1:] == 0) & (np.diff(x)[:-1] == 0)):
-            raise InputError("x holds a position three times; a jump takes two")
+            raise InputError("x holds a position three times; a jump is a position that is given twice")
         above_minus_one("q", q)
         object.__setattr__(self, "x", x)
         object.__setattr__(self, "q", q)
@@ -259,12 +183,12 @@ class Points(Profile):
         return np.column_stack([x, left, right])
 
     def _place(self, x: Array) -> tuple[Array, Array, Array]:
-        """The piece that holds x, the distance from its start, and the part of its length."""
+        """Return the piece that contains x, the distance from its start, and that distance relative to its length."""
         h = np.diff(self.x)
         inside = np.clip(x, self.x[0], self.x[-1])
         j = np.clip(np.searchsorted(self.x, inside, side="right") - 1, 0, h.size - 1)
         s = np.minimum(inside - self.x[j], h[j])
-        # a piece of no length (a jump at the last point) is never read beyond its start
+        # a piece of length 0 (a jump at the last point) is evaluated at its start only
         return j, s, np.divide(s, h[j], out=np.zeros_like(s), where=h[j] > 0)
 
     def excess(self, x: Array, law: ErosionLaw) -> Array:
@@ -283,7 +207,7 @@ class Points(Profile):
 class Steady(Profile):
     """The steady slope q = f⁻¹(a/(1 - a x)), whose flux is a everywhere, right of a kink at s0 (theory, §6e-f).
 
-    With no kink it fills the whole grid, and the flux a enters at the left end.
+    Without a kink it fills the whole grid, and the flux a enters at the left end.
     """
 
     flux: float
@@ -310,20 +234,19 @@ class Steady(Profile):
         return np.array([[self.kink, 0.0, float(self.excess(np.array(self.kink), law))]])
 
     def excess(self, x: Array, law: ErosionLaw) -> Array:
-        """The steady slope itself, whether or not a kink cuts it off."""
+        """Return q of the steady slope itself, on either side of a kink."""
         return law.inverse(self.flux / (1.0 - self.flux * x))
 
     def check(self, grid: Grid, law: ErosionLaw) -> None:
         try:
             top = law.inverse(np.array(self.flux))
-            # within rounding of its supremum f no longer tells slopes apart
+            # within rounding of its supremum f no longer distinguishes slopes
             reached = top < 1.0 or law.f(0.5 * top) < (1 - 1e-12) * self.flux
         except ValueError:
             reached = False
         if not reached:
             raise InputError(
-                f"flux = {self.flux:g} is more than the law {law.name!r} erodes at any slope; "
-                "it must be below the supremum of f"
+                f"flux = {self.flux:g} is not a value of the law {law.name!r}; it must be below the supremum of f"
             )
         super().check(grid, law)
 
@@ -340,7 +263,7 @@ class Steady(Profile):
 
 @dataclass(frozen=True, eq=False)
 class Given(Profile):
-    """u(x) from a Python function; u_x = 1 (q = 0) left of the grid."""
+    """A profile u(x) from a Python function; u_x = 1 (q = 0) left of the grid."""
 
     u: Callable[[Any], Any]
     source: Mapping[str, Any] = field(default_factory=dict)
@@ -351,7 +274,7 @@ class Given(Profile):
             raise InputError(f"u = {shown(self.u)} must be a function of x")
 
     def start(self, tail: float = TAIL) -> float:
-        return np.nan  # not known for certain; `check` looks at the first cell
+        return np.nan  # unknown; `check` tests the first cell
 
     def grid(self, cells: int = 2000, tail: float = TAIL) -> Grid:
         return grid_from(start_of(lambda x: self.W(x, None), tail), cells)  # type: ignore[arg-type]
@@ -365,49 +288,101 @@ class Given(Profile):
         self._check_rising(q, grid)
         if abs(q[0]) > TAIL:
             raise InputError(
-                f"the profile has q = {q[0]:.3g} at the left end x = {grid.left:g}; the slope must be critical "
-                f"(u_x = 1, q = 0 to {TAIL:g}) from there on to the left"
+                f"the profile has q = {q[0]:.3g} at the left end x = {grid.left:g}; the slope must be neutral "
+                f"(u_x = 1, q = 0 to {TAIL:g}) there and further left"
             )
 
-    @np.errstate(all="ignore")  # in branches that the function does not use; `check` looks at the values
+    @np.errstate(all="ignore")  # in unused branches of the function; `check` tests the values
     def W(self, x: Array, law: ErosionLaw) -> Array:
         return values_at(self.u, x) - x
 
 
 def kinks(positions: Sequence[float], amplitudes: Sequence[float]) -> Profile:
-    """Upward jumps of q to `amplitudes` at `positions`, with the law's own decay in between (theory, §5).
+    """Return a profile of kinks: q jumps up to `amplitudes` at `positions` and decays between them by the law (theory,
+    §5).
 
-    Positions are in exchange lengths, at most 0 on the half line, and increase; amplitudes, in critical slopes, are as
-    many. q is 0 on the left; each amplitude has to exceed the q = u_x - 1 that it meets, which depends on the law and
-    is looked at when a run begins. Raises InputError for other lists.
+    Args:
+        positions: x of the kinks, shape (n,), in exchange lengths, increasing, at most 0 on the half line.
+            amplitudes: q right of each kink, shape (n,), in neutral slopes. Each exceeds q left of its kink, which
+            depends on
+            the law and is checked when a run begins. q = 0 left of the first kink.
+
+    Returns:
+        The profile.
+
+    Raises:
+        InputError: for other lists.
+
+    >>> import hjprofile as hj
+    >>> slope = hj.kinks([-7.0, -5.0], [0.4, 1.2])
+    >>> print(slope.breaks(hj.rational()).round(3))
+    [[-7.     0.     0.4  ]
+     [-5.     0.054  1.2  ]]
     """
     return Kinks(positions, amplitudes)  # type: ignore[arg-type]
 
 
 def bumps(amplitudes: Sequence[float], centres: Sequence[float], widths: Sequence[float]) -> Profile:
-    """q = Σ a exp(-((x - c)/w)²), with a, c and w from `amplitudes`, `centres` and `widths`, three lists as long.
+    """Return a profile of Gaussian bumps, q = Σ a exp(-((x - c)/w)²).
 
-    q = u_x - 1 is in critical slopes, centres and widths in exchange lengths; widths are positive. Raises InputError
-    for other lists, and where q is not above -1.
+    Args:
+        amplitudes: a, shape (n,), in neutral slopes; q must stay above -1.
+        centres: c, shape (n,), in exchange lengths.
+        widths: w, shape (n,), in exchange lengths, positive.
+
+    Returns:
+        The profile.
+
+    Raises:
+        InputError: for other lists, and if q is not above -1.
+
+    >>> import hjprofile as hj
+    >>> slope = hj.bumps(amplitudes=[1.5], centres=[-4.0], widths=[0.7])
+    >>> round(slope.start(), 2)
+    -6.64
     """
     return Bumps(amplitudes, centres, widths)  # type: ignore[arg-type]
 
 
 def points(x: Sequence[float], q: Sequence[float]) -> Profile:
-    """q linear between the points (x, q), at least two; an x that is given twice is a jump; q = 0 outside.
+    """Return a piecewise linear profile of q, with q = 0 outside.
 
-    x is in exchange lengths, at most 0 on the half line, and never decreases; q = u_x - 1, in critical slopes, is above
-    -1. Raises InputError for other lists.
+    Args:
+            x: positions, shape (n,), n >= 2, in exchange lengths, not decreasing, at most 0 on the half line. A
+            position that
+            is given twice is a jump.
+        q: u_x - 1 at these positions, shape (n,), in neutral slopes, above -1.
+
+    Returns:
+        The profile.
+
+    Raises:
+        InputError: for other lists.
+
+    >>> import hjprofile as hj
+    >>> hj.points(x=[-6.0, -5.0, -5.0, -3.0], q=[0.0, 0.5, 1.0, 0.0]).start()
+    -6.0
     """
     return Points(x, q)  # type: ignore[arg-type]
 
 
 @kind("steps", edges=LIST, values=LIST)
 def steps(edges: Sequence[float], values: Sequence[float]) -> Profile:
-    """q = values[i] on (edges[i], edges[i+1]), 0 outside; edges are one more than values.
+    """Return a piecewise constant profile of q: q = values[i] on (edges[i], edges[i+1]), and 0 outside.
 
-    Edges are in exchange lengths, at most 0 on the half line, and increase; q = u_x - 1, in critical slopes, is above
-    -1. Raises InputError for other lists.
+    Args:
+        edges: shape (n + 1,), in exchange lengths, increasing, at most 0 on the half line.
+        values: q = u_x - 1, shape (n,), in neutral slopes, above -1.
+
+    Returns:
+        The profile.
+
+    Raises:
+        InputError: for other lists.
+
+    >>> import hjprofile as hj
+    >>> hj.steps(edges=[-4.0, -3.0, -2.0], values=[0.8, 0.3]).start()
+    -4.0
     """
     e, v = numbers("edges", edges, 2), numbers("values", values)
     if e.size != v.size + 1:
@@ -419,26 +394,54 @@ def steps(edges: Sequence[float], values: Sequence[float]) -> Profile:
 
 
 def steady(flux: float, kink: float | None = None) -> Profile:
-    """The steady slope of the given flux a, right of a kink if one is given (theory, §6e-f).
+    """Return the steady slope of a given erosion flux, right of a kink if one is given (theory, §6e-f).
 
-    a > 0 must be less than the supremum of the law's f (1 for `rational`), which is looked at when a run begins; the
-    kink is at x < 0, in exchange lengths. Without one the flux a enters at the left end, and a grid must be given.
-    Raises InputError for other numbers.
+    Args:
+            flux: F = K f(q), dimensionless, positive and below the supremum of f (1 for `rational`), which is checked
+            when a
+            run begins.
+            kink: x of the kink, in exchange lengths, negative; None for a slope that fills the grid. Then the flux
+            enters at
+            the left end, and a grid must be given.
+
+    Returns:
+        The profile.
+
+    Raises:
+        InputError: for other numbers.
+
+    >>> import hjprofile as hj
+    >>> hj.steady(flux=0.5, kink=-1.0).inflow
+    0.0
     """
     return Steady(flux, kink)
 
 
 def profile(u: Callable[[Any], Any]) -> Profile:
-    """A profile from a Python function: the height u at x <= 0, of arrays or of single numbers (slower).
+    """Return a profile from a Python function.
 
-    u must rise, and have the critical slope (u_x = 1) from the left end of the grid on downwards. What it returns is
-    looked at when a run begins, which raises InputError if that is not so.
+    Args:
+            u: the height, in exchange lengths times the neutral slope, at x <= 0 in exchange lengths, of arrays or of
+            single
+            numbers (slower). u must rise, and have the neutral slope (u_x = 1) at and below the left end of the grid.
+
+    Returns:
+        The profile. Its heights are checked when a run begins, which raises InputError if u does not rise.
+
+    Raises:
+        InputError: if u is not a function.
+
+    >>> import numpy as np
+    >>> import hjprofile as hj
+    >>> slope = hj.profile(lambda x: x + np.exp(-((x + 3.0) ** 2)) / 4.0)
+    >>> slope.grid(cells=400).cells
+    400
     """
     return Given(u, table_of(from_file, {"file": "", "function": getattr(u, "__name__", "u")}))
 
 
 @kind("python", file=TEXT, function=TEXT)
 def from_file(file: str | Path, function: str, base: Path | None = None) -> Profile:
-    """A profile from the function of that name in a Python file, which is run."""
+    """Return a profile from the function of that name in a Python file, which is run."""
     loaded = load_function(located(base or Path(), file), function)
     return Given(loaded.function, content=loaded.content)

@@ -1,4 +1,4 @@
-"""The range of each number that a user gives, and functions that read values of Python and numpy."""
+"""The range of each number that a user gives, and conversions of values of Python and numpy."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from hjprofile.errors import InputError
 
 Array = np.ndarray
 
-SAME_TIME = 1e-9  # of the span of a run: times nearer to each other than that differ by rounding only
+SAME_TIME = 1e-9  # relative to the span of a run: times that are closer differ by rounding only
 LONGEST_SHOWN = 400  # characters of a value in a message
 
 
 class Range(NamedTuple):
-    """Numbers from `least` to `most`; 0 as well if `zero`. `words` describe it in a message."""
+    """An interval of numbers from `least` to `most`, with 0 as well if `zero`; `words` describe it in a message."""
 
     least: float
     most: float
@@ -27,7 +27,7 @@ class Range(NamedTuple):
     zero: bool = False
 
     def holds(self, value: Any) -> Any:
-        """Return True if a number is allowed, or for each of an array; NaN is not."""
+        """Return True if a number is allowed, or a mask for an array; NaN is not allowed."""
         return ((value >= self.least) & (value <= self.most)) | (self.zero & (value == 0.0))
 
 
@@ -36,9 +36,9 @@ def _positive(least: float, most: float) -> Range:
 
 
 _PLACE = Range(-1e9, 1e9, "a finite number, at most 1e9 in size")
-_DOWNHILL = Range(-1e9, -1e-9, "a negative number: the top of the slope is at x = 0 (from -1e9 to -1e-9)")
+_DOWNHILL = Range(-1e9, -1e-9, "a negative number, because the crest is at x = 0 (from -1e9 to -1e-9)")
 _SLOPE = Range(-1e8, 1e8, "a finite number, at most 1e8 in size")
-RANGES = {  # the table of docs/cases.md is this one
+RANGES = {  # docs/cases.md has the same table
     "end": Range(1e-300, 1e12, "a number, 0 or more, from 1e-300 to 1e12 if not 0", zero=True),
     "supply_flux": Range(1e-300, 1e6, "a number, 0 or more, from 1e-300 to 1e6 if not 0", zero=True),
     "left": _DOWNHILL,
@@ -60,9 +60,9 @@ RANGES = {  # the table of docs/cases.md is this one
     "critical_slope": _positive(1e-6, 1e6),
     "length": _positive(1e-9, 1e12),
     "sigma": _positive(1e-12, 1e12),
-    "f'(0)": _positive(1e-9, 1e9),  # of a law; lengths in units of 1/f'(0) have laws of order 1
+    "f'(0)": _positive(1e-9, 1e9),  # of a law; with lengths in units of 1/f'(0) laws are of order 1
     "k": _positive(1e-100, 1e100),
-    # the laws are lost in underflow or overflow at ordinary slopes beyond
+    # other laws underflow or overflow at ordinary slopes
     "m": Range(1e-100, 100.0, "a positive number, at most 100 (and not below 1e-100: use the law 'log')"),
 }
 
@@ -80,7 +80,7 @@ def as_number(value: Any) -> float:
 
 
 def number(name: str, value: Any, about: str = "", key: str = "") -> float:
-    """Return the number of that name. Raises InputError if it is none, or outside the range of `key` or `name`."""
+    """Return the number of that name. Raise InputError unless it is in the range of `key` or `name`."""
     allowed = RANGES[key or name]
     if not allowed.holds(found := as_number(value)):
         raise InputError(f"{name} = {shown(value)} must be {allowed.words}", about)
@@ -88,7 +88,7 @@ def number(name: str, value: Any, about: str = "", key: str = "") -> float:
 
 
 def whole(name: str, value: Any, least: int, most: int | None = None) -> int:
-    """Return the whole number of that name. Raises InputError if it is none, less than `least` or more than `most`."""
+    """Return the whole number of that name. Raise InputError for other types and outside of `least` to `most`."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
     fits = isinstance(value, (int, np.integer)) and value >= least and (most is None or value <= most)
@@ -105,14 +105,14 @@ def instance(name: str, value: Any, kind: type) -> None:
 
 
 def as_path(name: str, value: Any) -> Path:
-    """Return the path of that name. Raises InputError if it is none."""
+    """Return the path of that name. Raise InputError for other types."""
     if not isinstance(value, (str, os.PathLike)):
         raise InputError(f"{name} = {shown(value)} must be a path")
     return Path(value)
 
 
 def shown(value: Any) -> str:
-    """Return a value as a message shows it."""
+    """Return the text of a value for a message."""
     with suppress(Exception):  # an integer of thousands of digits, a key of as many parts, an error in repr
         if len(text := repr(plain(value))) <= LONGEST_SHOWN and "\n" not in text:
             return text
@@ -120,7 +120,7 @@ def shown(value: Any) -> str:
 
 
 def plain(value: Any) -> Any:
-    """Return types of TOML for numbers and arrays of numpy, tuples and paths, in lists and tables too."""
+    """Return a value as types of TOML: numbers, arrays, tuples and paths become plain numbers, lists and text."""
     if isinstance(value, (np.ndarray, np.generic)):
         return value.tolist()
     if isinstance(value, (list, tuple)):
@@ -131,7 +131,7 @@ def plain(value: Any) -> Any:
 
 
 def read_only(array: Array) -> Array:
-    """Return the same numbers, shared, in a read-only array."""
+    """Return a read-only view of an array."""
     view = array.view()
     view.flags.writeable = False
     return view

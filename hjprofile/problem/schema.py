@@ -1,4 +1,4 @@
-"""The schema of case files: keys, their kinds and defaults, each declared once and read both ways, from and to TOML."""
+"""The schema of case files: keys with kinds and defaults, each declared once, for reading and for writing TOML."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class Key:
     """A key of a section.
 
     Attributes:
-        default: REQUIRED if there is none.
-        filled: whether a resolved case states the key where it has its default.
-        check: function of name and value that raises InputError for a value out of range; None where the function that
+        default: the default; REQUIRED if there is none.
+        filled: True if a resolved case contains the key even with its default.
+        check: a function of name and value that raises InputError for a value out of range; None if the function that
             takes the values checks them.
     """
 
@@ -46,42 +46,43 @@ class Key:
     check: Callable[[str, Any], Any] | None = None
 
     def left_out(self, value: Any) -> bool:
-        """Return True if a resolved case does not state the key with this value."""
+        """Return True if a resolved case does not contain the key with this value."""
         if self.filled or self.default is REQUIRED:
             return False
         return bool(value is None if self.default is None else value == self.default)
 
 
 def to_table(keys: Sequence[Key], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the table of a resolved case, in the order of the values; values of no key are ignored."""
+    """Return the table of a resolved case, in the order of the values; ignore values that have no key."""
     known = {key.name: key for key in keys}
     stated = {n: v for n, v in values.items() if n in known and not known[n].left_out(v)}
     return {name: known[name].kind.write(value) for name, value in stated.items()}
 
 
 class Faults:
-    """The faults of one case file; each names file and section."""
+    """The faults of one case file; each message names file and section."""
 
     def __init__(self, source: str):
         self.source = source
         self.found: list[tuple[str, InputError]] = []
 
     def error(self, message: str, about: str = "", section: str = "") -> None:
+        """Record a fault."""
         where = f"[{section}] " if section else ""
         error = InputError(f"{self.source}: {where}{message}", about or ABOUT.get(section, "a-case-file"))
         self.found.append((section, error))
 
     def stop(self) -> None:
-        """Raise one InputError with all faults, if any was found, section by section."""
+        """Raise one InputError with all faults, section by section, if there are any."""
         if self.found:
             order = ("", *SECTIONS)
             raise InputError.of([error for _, error in sorted(self.found, key=lambda fault: order.index(fault[0]))])
 
 
 class Table:
-    """A section of a case file, from which keys are taken. Its faults are noted; from the first on it is not `sound`.
+    """A section of a case file, from which keys are taken; after its first fault it is not `sound`.
 
-    A section whose `values` are None is at fault already.
+    A section whose `values` are None is already at fault.
     """
 
     def __init__(self, faults: Faults, name: str, values: Any):
@@ -91,12 +92,13 @@ class Table:
         self.values: dict[str, Any] = dict(values) if self.sound else {}
 
     def error(self, message: str, about: str = "") -> None:
+        """Record a fault of this section."""
         self.sound = False
         self.faults.error(message, about, self.name)
 
     @contextmanager
     def noting(self) -> Iterator[None]:
-        """Note faults that are raised inside as those of this section."""
+        """Record errors that are raised inside as faults of this section."""
         try:
             yield
         except InputError as error:
@@ -104,9 +106,9 @@ class Table:
                 self.error(str(fault), fault.about)
 
     def take(self, keys: Sequence[Key]) -> dict[str, Any]:
-        """Return the values of these keys, the only ones that the section may have; None for one at fault.
+        """Return the values of these keys, the only ones that the section may have; None for a key at fault.
 
-        An unknown key that is spelt like a missing one is taken for it, and is no fault of its own.
+        An unknown key that is spelt like a missing one is reported with the missing key only.
         """
         found: dict[str, Any] = dict.fromkeys(names := [key.name for key in keys])
         if not self.sound:
@@ -120,13 +122,13 @@ class Table:
             else:
                 found[key.name] = key.default
         for name in strange:
-            written = name if name.isprintable() else repr(name)  # a line break, an escape sequence of the terminal
+            written = name if name.isprintable() else repr(name)  # a line break, or an escape sequence of a terminal
             message = f"{written} is not a known key{did_you_mean(name, names)} (allowed: {', '.join(names)})"
             self.error(message, "a-misspelt-key")
         return found
 
     def read(self, key: Key) -> Any:
-        """Return the value of a key that is there; None if it is at fault."""
+        """Return the value of a key that is present; None if it is at fault."""
         value = self.values[key.name]
         try:
             found = key.kind.read(value)
@@ -139,10 +141,10 @@ class Table:
         return None
 
     def missing(self, key: Key, strange: list[str], allowed: str = "") -> None:
-        """Note that a key is missing; the one of `strange` that may be meant for it is removed from there."""
+        """Record a missing key; remove the key of `strange` that is spelt like it."""
         near = nearest(key.name, filter(str.isprintable, strange))
         strange[:] = [name for name in strange if name != near]
-        hint = f" (is {near!r} meant for it?)" if near else ""
+        hint = f" ({near!r} is not a known key)" if near else ""
         self.error(f"{key.name} is missing{hint}; it must be {allowed or key.kind.words}", "a-key-that-is-missing")
 
 
@@ -150,7 +152,8 @@ class Table:
 class Choice:
     """A law, profile or coefficient by its name in a case file: its keys, and the function that makes it from them.
 
-    `based` is True if that function reads files, and takes the folder `base` to which their paths are relative.
+    Attributes:
+        based: True if that function reads files, and takes the folder `base` to which their paths are relative.
     """
 
     name: str
@@ -167,8 +170,9 @@ class Choice:
 def choice(name: str, chooser: str = "kind", into: str = "table", **kinds: Kind) -> Callable[[Maker], Maker]:
     """Declare a function or a class as the maker of a choice, whose keys are its arguments with these kinds.
 
-    A key is optional if the argument has a default. The section of a case file that makes it again is stored in the
-    field `into` of what a function returns; a class computes it from its attributes.
+    A key is optional if the argument has a default. The table of a case file that makes the object again is stored in
+    the
+    field `into` of the object that a function returns; a class computes it from its attributes.
     """
 
     def declared(make: Maker) -> Maker:
@@ -195,10 +199,10 @@ def table_of(make: Any, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class Choices:
-    """A section in which one key names the choice that the other keys belong to."""
+    """A section in which one key selects the choice to which the other keys belong."""
 
     def __init__(self, chooser: Key, *choices: Any):
-        """Take choices, or what `choice` has declared."""
+        """Accept choices, or makers that `choice` has declared."""
         self.chooser = chooser
         found = (each if isinstance(each, Choice) else each.choice for each in choices)
         self.choices: dict[str, Choice] = {each.name: each for each in found}
@@ -225,6 +229,7 @@ class Choices:
         return to_table([self.chooser, *self.choices[values[self.chooser.name]].keys], values)
 
     def _chosen(self, table: Table) -> str | None:
+        """Return the name of the choice; None if it is missing or unknown."""
         key, allowed = self.chooser, ", ".join(map(repr, self.choices))
         if not table.sound:
             return None

@@ -1,4 +1,4 @@
-"""The file of a stored run, read and checked."""
+"""The reader of the netCDF file of a stored run, with its checks."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ DIMENSIONS = {
     "time": ("time",), "x": ("node",), "x_cell": ("cell",),
     "u": ("time", "node"), "q": ("time", "cell"), "K": ("time", "node"),
 }  # fmt: skip
-LARGEST = 1e100  # of an absolute value but K's: differences and squares of such numbers are finite
+LARGEST = 1e100  # of absolute values except K: differences and squares of such numbers are finite
 LARGEST_K = 1e300  # a run in which K spans more decades cannot start
-ROUNDING = 1e-9  # of the largest value: the arrays of every method agree to 1e-15
+ROUNDING = 1e-9  # relative to the largest value: the arrays of every method agree to 1e-15
 
 
 def read_profile(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
     """Return name -> array of the variables in DIMENSIONS, and name -> value of the global attributes.
 
-    Raises OSError if there is no such file, and ValueError, with the fault, if it does not hold a run.
+    Raise OSError if there is no such file, and ValueError with the fault if it does not hold a run.
     """
     from scipy.io import netcdf_file
 
@@ -33,7 +33,7 @@ def read_profile(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
             attributes = dict(file._attributes)
     except OSError:
         raise
-    except Exception as error:  # scipy raises a dozen different ones
+    except Exception as error:  # scipy raises many different exceptions
         raise ValueError(f"{path.name} is damaged ({type(error).__name__}: {error})") from None
     if dimensions != DIMENSIONS or any(array.dtype != ">f8" for array in arrays.values()):
         raise ValueError(f"{path.name} has variables of other dimensions or types than a run")

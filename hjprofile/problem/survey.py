@@ -1,4 +1,4 @@
-"""Surveyed slopes: heights from a CSV file, scaled, checked and on request repaired."""
+"""Surveyed slopes: heights from a CSV file, scaled, checked and repaired on request."""
 
 from __future__ import annotations
 
@@ -17,30 +17,50 @@ from hjprofile.problem.profiles import Points, Profile, kind
 from hjprofile.problem.ranges import RANGES, Array, as_path, number, shown
 from hjprofile.problem.units import Units
 
-REPAIR_SLOPE = 0.05  # least slope that a repaired survey keeps, as a fraction of the critical slope
-# Of the relief, the farthest that a repair may move a point. Noise of 2 m moves those of the hillslope by 0.7 % of its
-# 652 m at most, noise of 5 m by 2 %; what moves by a tenth has been mistyped, or was not measured
+REPAIR_SLOPE = 0.05  # smallest slope of a repaired survey, as a fraction of the critical slope
+# Largest move of a point by a repair, relative to the relief. Noise of 2 m moves points of the hillslope by 0.7 % of
+# its 652 m at most, noise of 5 m by 2 %. A point that moves by a tenth was mistyped or not measured.
 MOST_MOVED = 0.1
-MOST_ROWS = 5  # that a message names
+MOST_ROWS = 5  # named in a message
 LONGEST_SHOWN = 60  # characters of a line in a message
-FAR = 3.0  # times the critical slope, or a part of it: a mean slope that is told; a metre has 3.28 feet
+FAR = 3.0  # ratio of mean and critical slope, or its inverse, that is reported; a metre has 3.28 feet
 ABOUT = "a-survey"  # heading of the page on errors
 FORMAT = "the-file-of-a-survey"
 DOES_NOT_RISE = "a-survey-that-does-not-rise"
 
 
 @kind("survey", file=TEXT, critical_slope=POSITIVE, length=POSITIVE, repair=TEXT)
-@np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks refuse
+@np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks reject
 def survey(
     file: str | Path, critical_slope: float, length: float, repair: str | None = None, base: Path | None = None
 ) -> Profile:
-    """A surveyed slope: a CSV file with header `x,height`, x increasing and uphill to the right.
+    """Return the profile of a surveyed slope, linear between its points, with the neutral slope left of the first.
 
-    x and height are divided by `length` (the exchange length, over which an avalanche grows e-fold), height also by
-    `critical_slope`; the last point becomes the origin. The profile is linear between points and has the critical
-    slope left of the first. Raises InputError if the survey descends somewhere, unless `repair` is "isotonic": then
-    it is replaced by the nearest profile (least squares) that rises everywhere by at least 0.05 of the critical slope;
-    InputError where that moves a point by more than 0.1 of the relief, or the top is at the left.
+    The last point becomes the origin.
+
+    Args:
+        file: a CSV file with the header `x,height`; x increases uphill, in the unit of the survey.
+        critical_slope: the neutral slope, height over length, positive.
+        length: the exchange length, in the unit of the survey, positive. x is divided by it, heights by it and by
+            `critical_slope`.
+            repair: "isotonic" replaces a survey that falls by the nearest heights (least squares) that rise everywhere
+            by at
+            least 0.05 of the critical slope; None rejects such a survey.
+        base: the folder to which `file` is relative.
+
+    Returns:
+        The profile, with `units` for the way back to the survey.
+
+    Raises:
+            InputError: if the survey falls and is not repaired, if a repair would move a height by more than 0.1 of the
+            relief,
+            if the crest is at the left, or if the file holds no survey.
+
+    >>> import hjprofile as hj
+    >>> file = hj.shipped_cases()["hillslope"].parent / "hillslope.csv"
+    >>> slope = hj.survey(file, critical_slope=0.257, length=200.0, repair="isotonic")
+    >>> round(slope.start(), 2)
+    -12.68
     """
     critical_slope, length = number("critical_slope", critical_slope, ABOUT), number("length", length, ABOUT)
     if not (repair is None or (isinstance(repair, str) and repair == "isotonic")):
@@ -65,17 +85,18 @@ def survey(
     mean = float(np.ptp(height) / np.ptp(x))
     if not 1 / FAR < mean / critical_slope < FAR:
         account += (
-            f"{'; ' if account else ''}the mean slope {mean:.3g} is {mean / critical_slope:.3g} of the critical: are x "
-            "and height in one unit, and is critical_slope height over length, not an angle?"
+            f"{'; ' if account else ''}the mean slope {mean:.3g} is {mean / critical_slope:.3g} times the critical "
+            "slope; check that x and height have the same unit, and that critical_slope is height over length, not "
+            "an angle"
         )
     return Points(np.repeat(xi, 2)[1:-1], np.repeat(q, 2), units=units, height=float(u[0] - xi[0]), account=account)
 
 
 def _check_that_it_rises(file: str, x: Array, height: Array, rows: Sequence[int], falls: Array, repaired: bool) -> None:
-    """Raise InputError if a survey passes a crest, has its top at the left, or falls without a repair."""
+    """Raise InputError if a survey passes a crest, has its crest at the left, or falls without a repair."""
     if (top := crest(height)) is not None:
         raise InputError(
-            f"file = {file!r} passes its crest in row {rows[top]} (x = {x[top]:g}), and a case is of one flank; keep "
+            f"file = {file!r} passes its crest in row {rows[top]} (x = {x[top]:g}), but a case has one flank; keep "
             f"rows {rows[0]} to {rows[top]}, or mirror rows {rows[top]} to {rows[-1]} (write -x for x, and the last "
             "row first)",
             DOES_NOT_RISE,
@@ -86,7 +107,7 @@ def _check_that_it_rises(file: str, x: Array, height: Array, rows: Sequence[int]
     pairs = ", ".join(f"{rows[i]}-{rows[i + 1]}" for i in falls[:MOST_ROWS])
     pairs += ", ..." if falls.size > MOST_ROWS else ""
     if upside_down:
-        remedy = "this one has its top at the left, so mirror it (write -x for x, and the last row first)"
+        remedy = "this one has its crest at the left, so mirror it (write -x for x, and the last row first)"
     else:
         most = np.max(np.abs(np.diff(height)[falls]))
         course = f"falls there by up to {most:.6g}" if most > 0.0 else "is flat there"
@@ -98,7 +119,7 @@ def _check_that_it_rises(file: str, x: Array, height: Array, rows: Sequence[int]
 
 
 def _repaired(file: str, x: Array, height: Array, rows: Sequence[int], least: float) -> tuple[Array, str]:
-    """Return the nearest rising heights, and an account of them. Raises InputError if one would move too far."""
+    """Return the nearest rising heights, and an account of them. Raise InputError if a height would move too far."""
     repaired = nearest_rising(x, height, least)
     moved = np.abs(repaired - height)
     far = moved > MOST_MOVED * np.ptp(repaired)
@@ -106,7 +127,7 @@ def _repaired(file: str, x: Array, height: Array, rows: Sequence[int], least: fl
         i = _farthest_off(height, moved, far)
         raise InputError(
             f"file = {file!r} row {rows[i]}: repair = 'isotonic' would move its height of {height[i]:g} by "
-            f"{moved[i]:.5g}, more than a tenth of all that the survey rises; correct or delete that row",
+            f"{moved[i]:.5g}, more than a tenth of the relief; correct or delete that row",
             DOES_NOT_RISE,
         )
     rounding = 1e-9 * (np.ptp(height) + least * np.ptp(x))
@@ -118,17 +139,18 @@ def _repaired(file: str, x: Array, height: Array, rows: Sequence[int], least: fl
 
 
 def nearest_rising(x: Array, height: Array, least: float) -> Array:
-    """The heights nearest to these, by least squares, that rise everywhere by a slope of `least` and a hair."""
+    """Return the nearest heights, by least squares, that rise everywhere by slightly more than the slope `least`."""
     from scipy.optimize import isotonic_regression
 
-    tilt = (1 + 1e-9) * least * (x - x[-1])  # the hair: rounding cannot bring the slope below
+    tilt = (1 + 1e-9) * least * (x - x[-1])  # the factor keeps the slope above `least` after rounding
     return isotonic_regression(height - tilt).x + tilt
 
 
 def _farthest_off(height: Array, moved: Array, far: Array) -> int:
-    """Which of the points that are `far` off is to blame, as a wrong height takes its neighbours along.
+    """Return the index of the wrong height among the points that are `far` off; a wrong height also moves its
+    neighbours.
 
-    That is the one which moves farthest, and lies farthest beyond the heights that stay.
+    It is the one that moves farthest and lies farthest beyond the heights that stay.
     """
     beyond = np.zeros_like(height)
     if not far.all():
@@ -139,9 +161,21 @@ def _farthest_off(height: Array, moved: Array, far: Array) -> int:
 
 @np.errstate(all="ignore")
 def read_survey(file: str | Path) -> tuple[Array, Array, list[int]]:
-    """x, height and their rows in a CSV file with header `x,height` (which is row 1), x increasing.
+    """Read a survey from a CSV file with the header `x,height`.
 
-    Raises InputError naming the row.
+    Args:
+        file: the path of the file; its header is row 1, lines that begin with # are comments.
+
+    Returns:
+        x, increasing, and height, both of shape (n,) in the unit of the survey, and the list of their rows.
+
+    Raises:
+        InputError: with the row that is at fault.
+
+    >>> import hjprofile as hj
+    >>> x, height, rows = hj.read_survey(hj.shipped_cases()["hillslope"].parent / "hillslope.csv")
+    >>> x.shape == height.shape == (len(rows),)
+    True
     """
     file = as_path("file", file)
     require_file(file)
@@ -171,7 +205,7 @@ def read_survey(file: str | Path) -> tuple[Array, Array, list[int]]:
         except ValueError:
             message = (
                 f"file = {str(file)!r} row {n}: {line!r} must be two numbers (a comma between them, points for "
-                "decimals, no separator for thousands, no unit; a row without a height is left out)"
+                "decimals, no separator for thousands, no unit; omit a row without a height)"
             )
             raise InputError(message, FORMAT) from None
         if not (np.isfinite(x) and np.isfinite(height)):
@@ -180,7 +214,7 @@ def read_survey(file: str | Path) -> tuple[Array, Array, list[int]]:
         if values and x <= values[-1][0]:
             raise InputError(
                 f"file = {str(file)!r} row {n}: x = {x:g} must be greater than the x = {values[-1][0]:g} before it; "
-                "sort the rows by x, and keep one height for each",
+                "sort the rows by x, and keep one height per x",
                 "a-survey-whose-x-does-not-increase",
             )
         rows.append(n)
@@ -200,9 +234,9 @@ def read_survey(file: str | Path) -> tuple[Array, Array, list[int]]:
 
 
 def _what_a_header_is(found: str) -> str:
-    """What is wrong with a header, as far as it can be guessed."""
+    """Return a guess at the fault of a header."""
     if re.search(r"[;\t]", found):
         return "columns are separated by commas, and decimals have a point"
     if re.search(r"\b(m|km|ft|feet|foot|in|yd|metres?|meters?)\b", found.replace("_", " ")):
-        return "the header names no unit: any will do, the same for x, for height and for length"
-    return "x is the horizontal distance, growing uphill, and height the elevation, in the same unit"
+        return "the header must not name a unit; x, height and length may have any unit, but the same one"
+    return "x is the horizontal distance, increasing uphill, and height the elevation, in the same unit"

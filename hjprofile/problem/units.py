@@ -13,12 +13,12 @@ SAME = 1e-9  # relative difference up to which units are equal
 
 @dataclass(frozen=True)
 class Units:
-    """The way back from a dimensionless solution to the survey's units.
+    """The units of a survey, for the way back from a dimensionless solution.
 
     Attributes:
-        length: exchange length.
-        critical_slope: height over length.
-        x_top, height_top: where the survey's last point lies.
+        length: the exchange length, in the unit of the survey.
+        critical_slope: the neutral slope, height over length.
+        x_top, height_top: position and height of the last point of the survey.
     """
 
     length: float
@@ -27,14 +27,16 @@ class Units:
     height_top: float
 
     def x(self, x) -> Array:
+        """Return positions in the unit of the survey."""
         return self.x_top + self.length * np.asarray(x)
 
     def height(self, u) -> Array:
+        """Return heights in the unit of the survey."""
         return self.height_top + self.length * self.critical_slope * np.asarray(u)
 
     def __str__(self) -> str:
         return (
-            f"length = {self.length:g}, critical_slope = {self.critical_slope:g}, top at x = {self.x_top:g}, "
+            f"length = {self.length:g}, critical_slope = {self.critical_slope:g}, crest at x = {self.x_top:g}, "
             f"height {self.height_top:g}"
         )
 
@@ -50,5 +52,5 @@ class Units:
 
     @property
     def volume(self) -> float:
-        """One unit of poured mass, as a volume per unit width of the slope."""
+        """The volume per unit width of the slope of one unit of supplied mass, in the unit of the survey squared."""
         return self.length**2 * self.critical_slope

@@ -1,4 +1,4 @@
-"""The functions of a user: loaded from a Python file, tried with arrays, called one number at a time, and hashed."""
+"""The functions of a user: loaded from a Python file, tried with arrays, evaluated and hashed."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class Loaded(NamedTuple):
 def load_function(path: Path, function: str) -> Loaded:
     """Return the function of that name in a Python file. Running the file runs its author's code.
 
-    The bytes that are hashed are those that are run, because Python's own cache of compiled files misses an edit
-    within a second.
+    The hashed bytes are the bytes that are run, because Python's cache of compiled files misses an edit within a
+    second.
     """
     require_file(path)
     spec = importlib.util.spec_from_file_location(f"hjprofile_user_{path.stem}", path)
@@ -55,7 +55,7 @@ def load_function(path: Path, function: str) -> Loaded:
 
 @contextmanager
 def evaluating(what: str, error: type[InputError | RunError] = InputError) -> Iterator[None]:
-    """Raise that error, without warnings of numpy before it, if a function of a user fails inside."""
+    """Raise that error, without earlier warnings of numpy, if a function of a user fails inside."""
     try:
         with np.errstate(all="ignore"):
             yield
@@ -64,11 +64,11 @@ def evaluating(what: str, error: type[InputError | RunError] = InputError) -> It
 
 
 def maps_arrays(f: Function, *probe: Array) -> bool:
-    """Return True if f maps these arrays, which broadcast against each other, as it maps their numbers one by one."""
+    """Return True if f maps these arrays, which broadcast, to the values that it gives for single numbers."""
     try:
         values = np.asarray(f(*(array.copy() for array in probe)), dtype=float)
         shape = np.broadcast_shapes(*(array.shape for array in probe))
-        if len(probe) == 1 and values.shape != shape:  # of several variables it need not depend on each
+        if len(probe) == 1 and values.shape != shape:  # a function of several variables need not depend on each
             return False
         alone = [float(f(*map(float, numbers))) for numbers in np.broadcast(*probe)]
         values = np.broadcast_to(values, shape).ravel()
@@ -78,7 +78,7 @@ def maps_arrays(f: Function, *probe: Array) -> bool:
 
 
 def on_copies(f: Function) -> Function:
-    """Return f with copies of its arguments, into which it may write."""
+    """Return f applied to copies of its arguments, so that it may write into them."""
     return lambda *arrays: f(*(np.array(array, dtype=float) for array in arrays))
 
 
@@ -91,7 +91,7 @@ def over_arrays(f: Function, *probe: Array) -> Function:
 
 
 def values_at(f: Function, x: Array) -> Array:
-    """Return f at x, in one call if f takes arrays, else in a call for each number."""
+    """Return f at x, in one call if f takes arrays, else in one call per number."""
     try:
         values = np.asarray(f(x.copy()), dtype=float)  # a function may write into its argument
     except Exception:  # a function of single numbers may raise any exception if it is called with an array
@@ -104,30 +104,30 @@ def values_at(f: Function, x: Array) -> Array:
 def content_of(path: Path, source: bytes) -> str:
     """Return a hash of a file and of the modules in its folder that it imports, directly or indirectly.
 
-    A module among them that has changed since it was imported is forgotten, so that it is imported again.
+    Remove a module among them that has changed since its import from `sys.modules`, so that it is imported again.
     """
     held = {path: source}
     todo = [source]
     while todo:
-        for beside in _modules_beside(path.parent, todo.pop()):
-            if beside not in held:
-                held[beside] = beside.read_bytes()
-                todo.append(held[beside])
-    for beside in held.keys() - {path}:
-        if _imported.setdefault(beside, held[beside]) != held[beside]:
-            _imported[beside] = held[beside]
+        for module_file in _modules_in(path.parent, todo.pop()):
+            if module_file not in held:
+                held[module_file] = module_file.read_bytes()
+                todo.append(held[module_file])
+    for module_file in held.keys() - {path}:
+        if _imported.setdefault(module_file, held[module_file]) != held[module_file]:
+            _imported[module_file] = held[module_file]
             for name, module in list(sys.modules.items()):
-                if getattr(module, "__file__", None) and Path(str(module.__file__)).resolve() == beside.resolve():
+                if getattr(module, "__file__", None) and Path(str(module.__file__)).resolve() == module_file.resolve():
                     del sys.modules[name]
     ordered = sorted((file.relative_to(path.parent).as_posix(), data) for file, data in held.items())
     parts = [name.encode() + hashlib.sha256(data).digest() for name, data in ordered if name != path.name]
     return hashlib.sha256(b"".join([hashlib.sha256(source).digest(), *parts])).hexdigest()
 
 
-def _modules_beside(folder: Path, source: bytes) -> Iterator[Path]:
+def _modules_in(folder: Path, source: bytes) -> Iterator[Path]:
     """Return the files in a folder that a source imports; for a package, all its modules."""
     names: set[str] = set()
-    with suppress(SyntaxError, ValueError):  # of a file that is not imported after all
+    with suppress(SyntaxError, ValueError):  # such a file cannot be imported
         for node in ast.walk(ast.parse(source)):
             if isinstance(node, ast.Import):
                 names |= {alias.name for alias in node.names}

@@ -49,7 +49,7 @@ def begin(problem: Problem, left: float, fronts: int, exact: bool | None = None)
     linear = isinstance(problem.model, LinearGrowth)
     data, table = cut_into_fronts(problem, left, fronts, LINEAR if linear else SUBLINEAR)
     if linear and exact and not data.kinks_only:
-        raise InputError("exact = True of other data than kinks is not available for a law with growth = 'linear'")
+        raise InputError("exact = True needs a profile of kinks under a law with growth = 'linear'")
     exact = data.kinks_only if exact is None else exact
     tracker = (StepTracker if linear else FrontTracker)(data, table, exact, problem.end)
     if data.sample is None:  # the fronts are the profile
@@ -125,5 +125,5 @@ def heights_at_end(problem: Problem, left: float, x: Array, fronts: int) -> Arra
     if not resolution.holds:
         raise RunError(f"{fronts} fronts do not resolve the profile")
     if not (tracker.arrived and np.all(np.isfinite(K))):
-        raise RunError(f"front tracking loses the slope before t = {problem.end:.6g}, as q comes too near to -1")
+        raise RunError(f"front tracking fails before t = {problem.end:.6g}, because q comes too near to -1")
     return u

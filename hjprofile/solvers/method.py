@@ -34,12 +34,12 @@ class Form(Enum):
 class Feature(Enum):
     """What a problem can ask of a method beyond slow erosion of a slope that is critical at its left end."""
 
-    INFLOW = "a profile with a flux that enters at the left end", "take a profile with q = 0 there"
+    INFLOW = "a profile with a flux that enters at the left end", "use a profile with q = 0 there"
     COEFFICIENT = "a prescribed coefficient", "leave [coefficient] out"
-    REFRESH = "a factor that is kept for a while", "leave refresh out"
+    REFRESH = "a refresh interval", "leave refresh out"
     LAYER = "a rolling layer", "leave [layer] out"
     WHOLE_LINE = "line = 'whole'", "set line = 'half'"
-    LINEAR_GROWTH = "a law with growth = 'linear'", "take a law of sublinear growth"
+    LINEAR_GROWTH = "a law with growth = 'linear'", "use a law of sublinear growth"
 
     @property
     def words(self) -> str:
@@ -117,11 +117,11 @@ def requirements(problem: Problem, refresh: float | None = None) -> frozenset[Fe
         if not problem.end <= MOST_REFRESHES * refresh:
             raise InputError(
                 f"refresh = {refresh:g} must be at least end / {MOST_REFRESHES:,} = "
-                f"{problem.end / MOST_REFRESHES:g}; leave it out to update the factor in every step"
+                f"{problem.end / MOST_REFRESHES:g}; leave it out to refresh K in every time step"
             )
         if not isinstance(problem.model, SlowErosion | Prescribed):
             (other,) = found & set(_OF_MODEL.values())
-            raise InputError(f"refresh = {refresh:g} does not go together with {other.words}; leave it out")
+            raise InputError(f"refresh = {refresh:g} cannot be combined with {other.words}; leave it out")
         found.add(Feature.REFRESH)
     return frozenset(found)
 

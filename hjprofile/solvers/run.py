@@ -170,7 +170,7 @@ class Verdict(NamedTuple):
         where = "" if np.isnan(self.x) else " near x = {x:.6g}"
         return Stop(
             Reason.BROKEN_BOUND,
-            "{name} does not hold at t = {t:.6g}" + where + ": exceeded by {excess:.3g} times what is allowed "
+            "{name} does not hold at t = {t:.6g}" + where + ": the excess is {excess:.3g} times the allowance "
             "({allowance})",
             f"use a monotone method ({ROBUST_METHOD}) with cfl at most 1, or more cells",
             {"name": name, "t": Time(self.time), "x": Place(self.x), "excess": -self.worst_margin,
@@ -298,7 +298,7 @@ class Run:
             return self
         known = "is not known" if self.error_estimate is None else f"is about {self.error_estimate:.1g}"
         caution = f"the tolerance {tolerance:g} is not met: the error of u {known}. Use a larger tolerance."
-        status = f"went to its end, but {caution}" if self.done else self.status
+        status = f"reached the end, but {caution}" if self.done else self.status
         return replace(self, status=status, cautions=(*self.cautions, caution))
 
     def kinks_at(self, index: int) -> list[KinkRecord]:

@@ -154,7 +154,7 @@ def _closed_form(search: _Search) -> bool:
     if run is None or not np.isfinite(run.u).all():
         return False
     search.seconds += run.wall_seconds
-    return search.offer(run, "the closed form, which these data have")
+    return search.offer(run, "the closed form, which exists for this profile")
 
 
 def _fronts_or_characteristics(search: _Search) -> bool:
@@ -165,9 +165,9 @@ def _fronts_or_characteristics(search: _Search) -> bool:
         if run is not None:
             scale = 1.0 + float(np.abs(run.u - run.x).max())
             estimate = 10.0 * max(run.volume_budget_error, ROUNDING * scale)
-            if search.offer(run, "fronts, which are exact because the data are kinks only", estimate):
+            if search.offer(run, "fronts, which are exact because the profile consists of kinks", estimate):
                 return True
-        return _characteristics(search, np.inf, "because fronts do not reach it")
+        return _characteristics(search, np.inf, "because fronts do not meet the tolerance")
     ladder = _Ladder(search)
     needed = ladder.pilot()
     least, spent = min(_usual_work(problem), WORTH_A_TRY), 0.0  # of characteristics
@@ -187,7 +187,7 @@ def _fronts_or_characteristics(search: _Search) -> bool:
         met, needed = ladder.solve(needed)
         if met:
             return True
-    return np.isfinite(spent) and _characteristics(search, np.inf, "because fronts do not reach it")
+    return np.isfinite(spent) and _characteristics(search, np.inf, "because fronts do not meet the tolerance")
 
 
 def _usual_work(problem: Problem) -> float:
@@ -339,9 +339,9 @@ class _Ladder:
         if run is None:
             return False, np.inf
         estimate = self._estimate(fronts)
-        reason, because = f"{fronts} fronts, because their error falls with their square", None
+        reason, because = f"{fronts} fronts, because their error is of second order in their number", None
         if fronts == self.first:
-            reason = f"{fronts} fronts, because no fewer tell what their error is"
+            reason = f"{fronts} fronts, the smallest number for which the error can be estimated"
         elif search.failed:
             reason, because = f"{fronts} fronts", search.failed[-1]
         if search.offer(run, reason, estimate, because):
@@ -386,7 +386,7 @@ def _on_grids(search: _Search, method: str, on_grid: Callable[[Grid], Run]) -> b
             previous, apart = apart, float(np.abs(run.u - before.u).max())
             # the order that is seen, between one (a kink) and two; one as long as nothing is
             ratio = float(np.clip(previous / apart if np.isfinite(previous) and apart > 0.0 else 2.0, 1.5, 4.0))
-            reason = f"{method} on {cells} cells, because neither fronts nor characteristics go through"
+            reason = f"{method} on {cells} cells, because neither fronts nor characteristics reach the end"
             if search.offer(run, reason, SAFETY * apart / (ratio - 1.0)):
                 return True
         before, cells = run, 2 * cells

@@ -145,7 +145,7 @@ def solve_case(case: Case, progress: Progress | None = None, strict: bool = Fals
         return on_grid(problem, grid, method, case.cfl, progress, strict, keeper, case.refresh, itself)
     run = method.solve(problem, grid, case.tolerance, progress)
     if strict and run.done and run.broken_bounds:
-        return replace(run, status=f"went to its end, but {run.broken_bounds[0]}")
+        return replace(run, status=f"reached the end, but {run.broken_bounds[0]}")
     return run
 
 
@@ -169,7 +169,7 @@ def check_case(case: Case) -> Method:
                 f"tolerance applies to the methods {able}, not to {method.name}; leave it out, or set method = 'auto'"
             )
         if case.tolerance is None and method.needs_tolerance:
-            raise InputError(f"method = {method.name!r} needs a tolerance: the largest error of u that will do")
+            raise InputError(f"method = {method.name!r} needs a tolerance: the largest allowed error of u")
         if case.tolerance is not None:
             _tolerance(method, case.tolerance)
         require(

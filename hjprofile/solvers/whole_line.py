@@ -103,8 +103,8 @@ class Window:
         """The reason to stop when something has left the window."""
         return Stop(
             Reason.LEFT_THE_WINDOW,
-            words + "something left the window at x = {x:g}",
-            "set right to more",
+            words + "q left the window at x = {x:g}",
+            "increase right",
             {"t": Time(t), "x": Place(self.grid.right)},
         )
 

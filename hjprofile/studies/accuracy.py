@@ -68,8 +68,8 @@ def shared(first: Run, second: Run) -> Shared:
     """
     if first.units and second.units and not first.units.same(second.units):
         raise InputError(
-            f"the runs are of surveys in different units ({first.units}; and {second.units}), so that equal numbers "
-            "are not equal lengths; compare runs of one length, critical_slope and top",
+            f"the runs are of surveys in different units ({first.units}; and {second.units}), so equal numbers are "
+            "not equal lengths; compare runs with the same length, critical_slope and crest",
             ABOUT,
         )
     i, j = _shared_times(first.time, second.time)
@@ -81,7 +81,7 @@ def shared(first: Run, second: Run) -> Shared:
         (a, b), (c, d) = ends
         raise InputError(
             f"grids over [{a:g}, {b:g}] and [{c:g}, {d:g}] differ, so the runs cannot be compared; set left (on the "
-            "whole line right, too) in both cases to one value",
+            "whole line also right) to the same value in both cases",
             ABOUT,
         )
     if first.cells % cells or second.cells % cells:

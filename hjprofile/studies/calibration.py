@@ -123,7 +123,7 @@ class _Model:
                     f"{path}: {name} cannot be varied{hint} the positive numbers of this case are {', '.join(offered)}"
                 )
         if not self.names or len(set(self.names)) < len(self.names):
-            raise InputError(f"{path}: a fit needs at least one parameter to vary, each named once")
+            raise InputError(f"{path}: a fit needs at least one parameter, and each of them only once")
         taken = METHODS["fronts"].supports - {Feature.WHOLE_LINE}
         require(f"{path}: a fit, made by fronts,", taken, requirements(self.first.problem, self.first.refresh))
         self.start = np.array([offered[name] for name in self.names])
@@ -223,7 +223,7 @@ def fit(case: str | Path, x: Array, height: Array, vary: Sequence[str], sigma: f
     if found.status < 1:
         reached = ", ".join(f"{n} = {v:.6g}" for n, v in zip(model.names, values, strict=True))
         raise RunError(
-            f"{case}: the fit does not converge in {MOST_STEPS} steps; it has come to {reached}; start nearer to "
+            f"{case}: the fit does not converge in {MOST_STEPS} steps; it has reached {reached}; start nearer to "
             "the solution, or vary fewer parameters"
         )
 
@@ -241,8 +241,8 @@ def fit(case: str | Path, x: Array, height: Array, vary: Sequence[str], sigma: f
     chi2 = float(np.sum((residual / sigma) ** 2)) if sigma else None
     if chi2 is not None and chdtrc(freedom, chi2) < IMPROBABLE:
         warnings.append(
-            f"the model does not meet the survey after to within sigma: chi² is {chi2 / freedom:.3g} for each degree "
-            "of freedom where 1 is expected; the intervals are too narrow"
+            f"the model does not fit the survey after within sigma: chi² per degree of freedom is "
+            f"{chi2 / freedom:.3g}, but 1 is expected; the intervals are too narrow"
         )
     warnings += _of_two_surveys(model, at, measured, residual, np.size(x) - at.size, sigma)
     parameters = [
@@ -272,7 +272,7 @@ def _on_the_slope(model: _Model, x: Array, height: Array) -> tuple[Array, Array,
     x, height = (v if (v := as_numbers(given)) is not None else np.array(np.nan) for given in (x, height))
     fits = x.ndim == 1 and x.shape == height.shape and np.all(np.abs([x, height]) <= HIGHEST)
     if not (fits and np.all(np.diff(x) > 0)):
-        raise InputError("the survey after must be two lists of as many finite numbers, x increasing")
+        raise InputError("the survey after must be two lists of the same number of finite numbers, x increasing")
     if (none := without_height(x, height)).any():
         i = int(np.argmax(none))
         raise InputError(f"the survey after has {height[i]:g} at x = {x[i]:g}, which is not a measured height; omit it")
@@ -284,7 +284,7 @@ def _on_the_slope(model: _Model, x: Array, height: Array) -> tuple[Array, Array,
     if np.count_nonzero(on) <= len(model.names):
         raise InputError(
             f"{model.path}: {np.count_nonzero(on)} of the {x.size} points of the survey after lie on the slope, from "
-            f"x = {first:g} to {last:g}; to fit {len(model.names)} takes at least {len(model.names) + 1}"
+            f"x = {first:g} to {last:g}; a fit of {len(model.names)} parameters needs at least {len(model.names) + 1}"
         )
     return x[on], height[on], np.linspace(first, last, 1001)
 
@@ -298,21 +298,21 @@ def _of_two_surveys(
     warnings = []
     if beyond > x.size:
         warnings.append(
-            f"{beyond} of the {beyond + x.size} points of the survey after lie beyond the slope: are both surveys of "
-            "one place, in one unit and with one origin of x?"
+            f"{beyond} of the {beyond + x.size} points of the survey after lie beyond the slope; check that both "
+            "surveys have the same location, unit and origin of x"
         )
     change = measured - model.before(x)
     size, rms = (float(np.sqrt(np.mean(v**2))) for v in (change, residual))
     if size <= SAME * np.ptp(measured) or (sigma and chdtrc(x.size, np.sum((change / sigma) ** 2)) >= IMPROBABLE):
         warnings.append(
-            f"the surveys do not differ: by {size:.2g} r.m.s., which is within "
+            f"the surveys do not differ: their difference, {size:.2g} r.m.s., is within "
             + ("sigma" if sigma else "rounding")
-            + "; nothing can be fitted to that"
+            + "; no parameter can be fitted"
         )
     elif rms > UNEXPLAINED * size:
         warnings.append(
-            f"the residuals, {rms:.3g} r.m.s., are {rms / size:.0%} of all the change between the surveys: are both in "
-            "one unit, with one datum, and of one place? If so, the model does not explain the change"
+            f"the residuals, {rms:.3g} r.m.s., are {rms / size:.0%} of the change between the surveys; check that "
+            "both have the same unit, datum and location. If they have, the model does not explain the change"
         )
     return warnings
 
@@ -337,8 +337,8 @@ def _covariance(jacobian: Array, names: Sequence[str]) -> tuple[Array, Array, li
         if len(involved) == 1:  # it has no effect: that has been said
             continue
         blind.append(
-            (involved, f"{names[i]} and {names[j]} cannot be told apart by these surveys: a change of one undoes that "
-             "of the other; keep one of them fixed")
+            (involved, f"{names[i]} and {names[j]} cannot be distinguished by these surveys, because a change of "
+             "one compensates that of the other; fix one of them")
         )  # fmt: skip
     floor = np.maximum(singular, 1e-12)
     inverse = (rows.T / floor**2) @ rows
@@ -348,10 +348,10 @@ def _covariance(jacobian: Array, names: Sequence[str]) -> tuple[Array, Array, li
 
 def _undetermined(i: int, names: Sequence[str], correlation: Array) -> str:
     """A sentence on a parameter whose interval is too wide, with the one that it goes with."""
-    sentence = f"{names[i]} is not determined by these surveys: its interval reaches further than a factor of three"
+    sentence = f"{names[i]} is not determined by these surveys: its interval exceeds a factor of three"
     others = np.abs(correlation[i])
     others[i] = 0.0
     j = int(np.argmax(others))
     if others[j] > 0.9:
-        sentence += f"; {names[j]} can stand in for it (correlation {correlation[i, j]:.3f})"
+        sentence += f"; {names[j]} can replace it (correlation {correlation[i, j]:.3f})"
     return sentence

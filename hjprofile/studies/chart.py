@@ -85,9 +85,7 @@ def chart(
     instance("problem", problem, Problem)
     instance("grid", grid, Grid)
     if not problem.end > 0.0:
-        raise InputError(
-            f"{case}: end = {problem.end:g}; a chart needs an end above 0, for it times what happens until then"
-        )
+        raise InputError(f"{case}: end = {problem.end:g}; a chart needs an end above 0, because it measures run times")
     known_exactly = set(Feature) - {Feature.COEFFICIENT, Feature.LAYER}
     require(f"{case}: a chart, which needs the exact solution,", known_exactly, requirements(problem))
     problem = replace(problem, snapshots=np.linspace(0.0, problem.end, SNAPSHOTS).tolist())
@@ -95,8 +93,8 @@ def chart(
     known = {grid.cells: reference.at(grid)}
     if not np.abs(known[grid.cells][1][1:]).max() > max(reference.error_q, NOTHING):
         raise InputError(
-            f"{case}: the slope is critical at t = {problem.times[1]:.6g}, where errors are measured first, and from "
-            "then on, so that every method is exact; set an earlier end"
+            f"{case}: the slope is neutral from the first measurement on, at t = {problem.times[1]:.6g}, so every "
+            "method is exact; set an earlier end"
         )
     points: list[Point] = []
     plan = list(_plan(problem, grid, cfl))
@@ -119,7 +117,7 @@ def chart(
             if seconds > PATIENCE:
                 break
     if not points:
-        raise RunError(f"{case}: no method reaches the end; `hjprofile run {case}` says why")
+        raise RunError(f"{case}: no method reaches the end; `hjprofile run {case}` reports the reason")
     return points, reference
 
 

@@ -86,7 +86,7 @@ def dependence(
     instance("grid", grid, Grid)
     require(f"{case}: the study of dependence", {Feature.COEFFICIENT}, requirements(problem))
     if not problem.end > 0.0:
-        raise InputError(f"{case}: no time passes; dependence needs an end above 0")
+        raise InputError(f"{case}: end = 0; the study of dependence needs an end above 0")
     study = _Study(case, replace(problem, snapshots=MOMENTS), Grid(grid.left, CELLS))
     found: list[Distance] = []
     total = len(SIZES) * PAIRS + len(PARTS) * WAVES + len(REFRESHES)
@@ -156,8 +156,8 @@ class _Study:
             raise RunError(f"{case}: {self.base.status}")
         if not np.abs(self.base.q[1:]).max() > NOTHING:
             raise InputError(
-                f"{case}: the slope is critical at t = {self.base.time[1]:.6g}, where distances are measured first, "
-                "and from then on; set an earlier end"
+                f"{case}: the slope is neutral from the first measurement on, at t = {self.base.time[1]:.6g}; "
+                "set an earlier end"
             )
         self.scale = max(1.0, float(np.abs(self.q).sum()) * grid.dx)
 
@@ -319,7 +319,7 @@ def summary(distances: Sequence[Distance]) -> tuple[list[str], str]:
         f"refresh      ‖q - q̃‖₁ is of order {order['refresh']:.2f} in the fractional step"
         + (f", the distance of kinks of order {order_of_kinks:.2f}" if np.isfinite(order_of_kinks) else "")
         if pairs["refresh"]
-        else "refresh      none: the coefficient does not change",
+        else "refresh      not applicable: the coefficient is constant in time",
     ]
     worst = max(("data", "zero", "coefficient"), key=lambda study: share[study])
     failed = f"a distance of the study {worst!r} is {share[worst]:.4g} times its bound"

@@ -139,7 +139,9 @@ def stability(case: str, problem: Problem, grid: Grid, progress: Callable[[float
     grid = Grid(grid.left, CELLS)
     q = np.diff(problem.profile.W(grid.nodes, problem.law)) / grid.dx
     if not problem.end > 0.0 or not np.abs(q).max() > 0.0:
-        raise InputError(f"{case}: nothing happens; a scan needs an end above 0 and a slope that is not critical")
+        raise InputError(
+            f"{case}: the profile does not change; a scan needs an end above 0 and a slope that is not neutral"
+        )
     data = _Data(problem, grid, q, problem.end)
     points: list[Trial] = []
     scans = (_cfl, _viscosity, _refresh, _reconstruction, _smallness, _exponents, _truncation)

@@ -167,7 +167,7 @@ def run_member(member: Member) -> Outcome:
             )
         run = solve_case(case)
     except MemoryError:
-        return Outcome("the machine's memory is not enough; use fewer workers, cells or snapshots")
+        return Outcome("the memory of this machine is not sufficient; use fewer workers, cells or snapshots")
     except (InputError, RunError) as error:
         return Outcome(str(error))
     except Exception as error:  # a user's law may raise anything
@@ -233,7 +233,7 @@ def run_members(todo: Mapping[int, Member], executor: Executor | None = None) ->
     except BrokenExecutor:
         futures.clear()  # none of them will begin
         raise RunError(
-            "a worker was lost, perhaps because memory was not enough; use fewer workers, cells or snapshots"
+            "a worker was lost, perhaps because the memory was not sufficient; use fewer workers, cells or snapshots"
         ) from None
     finally:
         for future in futures:

@@ -44,7 +44,7 @@ def assert_refused(folder, result, *words, code=2, faults=1):
     assert err.endswith("\n") and err.count("\n") == faults
     for line in err.splitlines():
         assert line.startswith("hjprofile: ")
-        assert line.rpartition(" (docs/errors.md#")[2].removesuffix(")") in anchors()
+        assert line.rpartition(" (see: hjprofile explain ")[2].removesuffix(")") in anchors()
     assert "Traceback" not in err
     assert [w for w in words if " ".join(w.split()) not in err] == []
     left = {path.name for path in folder.iterdir()} - {"__pycache__"}  # of the user's Python file
@@ -75,9 +75,9 @@ def test_files_that_are_no_toml(folder, capsys, name, command):
 
 BAD_SURVEYS = {  # name -> bytes, or these and the words that the message must hold
     "empty": b"",
-    "feet in the header": (b"x_ft,height_ft\n0,0\n1,1\n", ["'x_ft,height_ft'", "names no unit: any will do, the same"]),
-    "metres in the header": (b"x (m),z (m)\n0,0\n1,1\n", ["names no unit: any will do, the same"]),
-    "other names": (b"distance,elevation\n0,0\n1,1\n", ["x is the horizontal distance, growing uphill"]),
+    "feet in the header": (b"x_ft,height_ft\n0,0\n1,1\n", ["'x_ft,height_ft'", "must not name a unit"]),
+    "metres in the header": (b"x (m),z (m)\n0,0\n1,1\n", ["must not name a unit"]),
+    "other names": (b"distance,elevation\n0,0\n1,1\n", ["x is the horizontal distance, increasing uphill"]),
     "semicolons": (b"x;height\n0;0\n1,5;1\n", ["separated by commas, and decimals have a point"]),
     "tabs": (b"x\theight\n0\t0\n1\t1\n", ["separated by commas, and decimals have a point"]),
     "decimal commas": (b"x,height\n0,0,0,5\n", ["row 2: '0,0,0,5' must be two numbers", "points for decimals"]),
@@ -112,13 +112,13 @@ def test_a_slope_in_two_units_is_told(folder, capsys):
     profile = {"kind": "survey", "file": "survey.csv", "critical_slope": 0.6, "length": 10.0}
     (folder / "survey.csv").write_text("x,height\n0,0\n32.8,6\n65.6,12\n")
     for critical, of_it in (
-        (0.6, "the mean slope 0.183 is 0.305 of the critical"),
-        (32.0, "is 0.00572 of the critical"),
+        (0.6, "the mean slope 0.183 is 0.305 times the critical"),
+        (32.0, "is 0.00572 times the critical"),
     ):
         content = changed({"profile": profile | {"critical_slope": critical}, "domain.left": -7.0})
         (folder / "scene.toml").write_text(tomli_w.dumps(content))
         code, out, err = call(capsys, "run", "scene.toml")
-        assert (code, err) == (0, "") and of_it in out and "x and height in one unit" in out
+        assert (code, err) == (0, "") and of_it in out and "check that x and height have the same unit" in out
     (folder / "survey.csv").write_text("x,height\n0,0\n10,6\n20,12\n")
     (folder / "scene.toml").write_text(tomli_w.dumps(changed({"profile": profile, "domain.left": -7.0})))
     assert "mean slope" not in call(capsys, "run", "scene.toml")[1]
@@ -146,9 +146,9 @@ def test_bad_python_files(folder, capsys, name):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["run", "two_kinkz"], ["two_kinkz: no such file", "did you mean 'two_kinks'?"]),
-        (["run", "."], [".: no such file (it is a folder)", "they are: breaking_bump"]),
-        (["run", "scen.toml"], ["scen.toml: no such file", "did you mean 'scene.toml'?"]),
+        (["run", "two_kinkz"], ["two_kinkz: there is no such file", "did you mean 'two_kinks'?"]),
+        (["run", "."], [".: there is no such file (it is a folder)", "its cases are: breaking_bump"]),
+        (["run", "scen.toml"], ["scen.toml: there is no such file", "did you mean 'scene.toml'?"]),
         (["run", ""], ["no such file"]),
         (["run", "x" * 5000], ["cannot be read: File name too long"]),
         (["run"], ["CASE"]),
@@ -176,13 +176,13 @@ def test_bad_python_files(folder, capsys, name):
         (["run", "scene.toml", "--method", ""], ["[solver] method = '' is not known", "local-lax-friedrichs"]),
         (["runn", "scene.toml"], ["runn"]),
         (["check"], ["check needs at least one CASE"]),
-        (["check", "scene.toml", "two_kinkz"], ["two_kinkz: no such file"]),
+        (["check", "scene.toml", "two_kinkz"], ["two_kinkz: there is no such file"]),
         (["fit", "scene.toml"], ["AFTER"]),
         (["fit", "scene.toml", "survey.csv"], ["--vary"]),
         (["fit", "scene.toml", "nowhere.csv", "--vary", "time.end"], ["nowhere.csv", "does not exist"]),
         (["fit", "scene.toml", "user.py", "--vary", "time.end"], ["must begin with the header 'x,height'"]),
         (["fit", "scene.toml", "survey.csv", "--vary", "time.ende"], ["time.ende cannot be varied"]),
-        (["plot", "nowhere"], ["nowhere", "profile.nc is missing; `hjprofile run` writes them whole"]),
+        (["plot", "nowhere"], ["nowhere", "profile.nc is missing; run the case again"]),
         (["plot", "scene.toml"], ["scene.toml is not a readable result folder: it is a file; name the folder that"]),
         (["export", "nowhere"], ["export needs a format: --vtk"]),
         (["export", "nowhere", "--vtk"], ["nowhere", "profile.nc is missing"]),
@@ -204,7 +204,7 @@ def test_no_place_to_write(folder, capsys, monkeypatch, command, out):
         pytest.skip("needs a folder in which not even root may write")
     (folder / "occupied").write_text("mine")
     result = call(capsys, command, "scene.toml", "--out", out)
-    assert_refused(folder, result, f"hjprofile: {out}", "nothing was left half-written", code=1)
+    assert_refused(folder, result, f"hjprofile: {out}", "no partial file was left", code=1)
     assert (folder / "occupied").read_text() == "mine"
 
 
@@ -215,7 +215,7 @@ def assert_partial(folder, result, source, at_start):
     assert err.startswith(f"hjprofile: {source}: stopped at t = ") and err.count("\n") == 1
     status = json.loads((folder / "summary.json").read_text())["status"]
     assert status in err and str(folder) in err
-    for words in ("stopped at t = ", " near x = -", " reached -1 in a step of ", "set cfl to 1 or less"):
+    for words in ("stopped at t = ", " near x = -", " reached -1 in a time step of ", "set cfl to 1 or less"):
         assert words in status
     with netcdf_file(folder / "profile.nc", mmap=False) as file:
         arrays = {name: np.array(variable[:]) for name, variable in file.variables.items()}
@@ -263,7 +263,7 @@ def test_a_run_that_cannot_start(folder, capsys, values, left, method, words):
     (folder / "scene.toml").write_text(tomli_w.dumps(content))
     code, out, err = call(capsys, "run", "scene.toml")
     assert (code, out) == (1, "") and words in err
-    assert err.endswith(" (docs/errors.md#a-run-that-stops)\n") and err.count("\n") == 1
+    assert err.endswith(" (see: hjprofile explain a-run-that-stops)\n") and err.count("\n") == 1
 
 
 def process(*arguments, stdout=subprocess.PIPE):

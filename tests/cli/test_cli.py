@@ -38,7 +38,8 @@ SCENE = {
 BARE = {"output": {"vtk": False, "plots": False}}
 DRAWN = [f"{name}.{form}" for name in ("profile", "diagram", "factor") for form in ("png", "svg")]
 COMMANDS = (
-    "run", "check", "chart", "stability", "dependence", "sweep", "fit", "plot", "compare", "animate", "export", "cases"
+    "run", "check", "chart", "stability", "dependence", "sweep", "fit", "plot", "compare", "animate", "export", "cases",
+    "explain",
 )  # fmt: skip
 
 
@@ -71,9 +72,9 @@ def test_run_then_plot_and_export_again(folder, call):
 
     lines = out.splitlines()
     assert lines[0] == "Zwei Knicke"
-    assert [line.split()[0] for line in lines[1:]] == ["solved", "eroded", "kinks", "budgets", "bounds", "written"]
-    assert f"local-lax-friedrichs, 160 cells, {run.steps} steps" in lines[1] and lines[1].endswith("to t = 4")
-    assert f"volume {run.eroded_volume:.6g} eroded" in lines[2]
+    assert [line.split()[0] for line in lines[1:]] == ["solved", "volume", "kinks", "budgets", "bounds", "written"]
+    assert f"local-lax-friedrichs, 160 cells, {run.steps} time steps" in lines[1] and lines[1].endswith("to t = 4")
+    assert f"volume      net erosion {run.eroded_volume:.6g}" in lines[2]
     assert re.search(r" 2 at .*, 0 at .*; 0 births, 1 merge, 1 exit$", lines[3])
     assert f"mass to rounding; volume to {run.volume_budget_error:.2g} (first order in dx)" in lines[4]
     assert lines[5].endswith("all hold")
@@ -113,7 +114,7 @@ def test_a_tolerance_is_met_and_the_estimate_told(folder, call):
         code == 0
         and "fronts, 160 cells" in out
         and "  chosen      fronts, which are exact" in out
-        and "  error       of u at most " in out
+        and "  error       ‖u - u_exact‖_∞ about " in out
     )
     run = load_run("results/bare")
     assert run.method == "fronts" and 0 < run.error_estimate <= 1e-6
@@ -136,7 +137,7 @@ def test_a_shipped_case_by_name_and_its_survey_units(in_tmp, call):
     code, out, err = call("run", "hillslope", "--cells", "260", "--end", "0.1")
     assert (code, err) == (0, "")
     run = load_run("results/hillslope")
-    assert f"to t = 0.1 = {0.1 * 200**2 * 0.257:.4g} in the survey's units" in out
+    assert f"to t = 0.1 (supplied: {0.1 * 200**2 * 0.257:.4g} in the survey's units" in out
     assert f"({abs(run.eroded_volume) * 200**2 * 0.257:.4g} in the survey's units, per unit width)" in out
 
 
@@ -155,7 +156,7 @@ def test_the_account_says_what_was_done_to_the_data(folder, call):
 def test_the_account_says_which_bounds_were_not_held(folder, call):
     code, out, _ = call("run", "bare.toml", "--method", "godunov", "--cfl", "2")
     broken = [name for name, b in load_run("results/bare").bounds.items() if not b.holds]
-    assert code == 0 and broken and "  bounds      NOT HELD:\n" in out
+    assert code == 0 and broken and "  bounds      VIOLATED:\n" in out
     run = load_run("results/bare")
     assert [w.split()[0] for w in run.warnings] == broken
     assert all(f"  WARNING     {w}\n" in out for w in run.warnings)
@@ -163,7 +164,7 @@ def test_the_account_says_which_bounds_were_not_held(folder, call):
     code, out, err = call("run", "bare.toml", "--method", "godunov", "--cfl", "2", "--strict")
     assert code == 1 and "stopped at t = " in err and f"{broken[0]} does not hold" in err
     lost = {"mass_budget": run.bounds["mass_budget"]._replace(holds=False)}
-    assert "mass NOT KEPT" in run_command._account(dataclasses.replace(run, bounds={**run.bounds, **lost}))
+    assert "mass VIOLATED" in run_command._account(dataclasses.replace(run, bounds={**run.bounds, **lost}))
 
 
 def test_stability_writes_its_table_and_picture(folder, call, monkeypatch):
@@ -205,7 +206,7 @@ def test_dependence_writes_its_table_and_picture(folder, call, monkeypatch):
 
 def test_a_resumed_run_says_so(folder, call):
     code, out, _ = call("run", "bare.toml", "--resume")
-    assert code == 0 and "  resumed     not: there was no checkpoint, so from the start\n" in out
+    assert code == 0 and "  resumed     no: there is no checkpoint, so the run started at t = 0\n" in out
     before = Path("results/bare/profile.nc").read_bytes()
     case = load_case("bare.toml")
     keeper = Checkpoint(Path("results/bare"), 1e9, resume=False)
@@ -307,7 +308,8 @@ def test_check_fails_and_says_where(folder, call, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("raised", "words"), [(KeyboardInterrupt(), "interrupted"), (MemoryError(), "memory is not enough")]
+    ("raised", "words"),
+    [(KeyboardInterrupt(), "interrupted"), (MemoryError(), "memory of this machine is not sufficient")],
 )
 def test_what_stops_a_run_from_outside(folder, call, monkeypatch, raised, words):
     def stopped(*_):
@@ -392,7 +394,7 @@ def on_a_terminal(*arguments):
 
 def test_a_long_run_shows_a_bar_on_a_terminal(slow):
     code, out, err = on_a_terminal("run", slow)
-    assert code == 0 and "eroding" in err
+    assert code == 0 and "solving" in err
     shown = [int(percent) for percent in re.findall(r"(\d+)%", err)]
     assert shown == sorted(shown) and shown[0] < shown[-1] <= 100
     assert re.search(r"\d:\d\d:\d\d", err)  # the time that is left
@@ -404,7 +406,7 @@ def test_a_long_run_shows_a_bar_on_a_terminal(slow):
 )
 def test_a_bar_is_for_terminals_and_after_a_second(monkeypatch, capsys, terminal, waited, shown):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
-    with Progress("eroding") as progress:
+    with Progress("solving") as progress:
         progress.started -= waited
         progress(0.5)
         assert (progress.bar is not None) == shown
@@ -456,9 +458,9 @@ def test_the_helper_does_not_outlive_the_run(folder, how):
         (os.killpg if how == signal.SIGINT else os.kill)(running.pid, how)
         _, err = running.communicate(timeout=60)
     if how == signal.SIGINT:
-        kept = r" at t = \S+; the run is kept in \S+, and --resume goes on from there"
+        kept = r" at t = \S+; the state is saved in \S+; --resume continues from it"
         assert running.returncode == 1  # before the first step there is nothing to keep
-        said = rf"hjprofile: interrupted(; nothing was left half-written|{kept}) \(docs/errors.md#interrupted\)\n"
+        said = rf"hjprofile: interrupted(; no partial file was left|{kept}) \(see: hjprofile explain interrupted\)\n"
         assert re.fullmatch(said, err.decode())
     while any(map(alive, helpers)) and time.monotonic() < deadline:
         time.sleep(0.1)

@@ -15,7 +15,7 @@ from hjprofile.interrupts import SIGNALS, answered
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc")
 NAMES = [s.name for s in SIGNALS]
-SAID = re.compile(r"hjprofile: interrupted(; | at t = )[^\n]* \(docs/errors.md#[\w-]+\)\n")
+SAID = re.compile(r"hjprofile: interrupted(; | at t = )[^\n]* \(see: hjprofile explain [\w-]+\)\n")
 MAIN = "from hjprofile.cli import main\nprint('main', flush=True)\nmain()\n"
 LEAVE = "from hjprofile.interrupts import *\nimport os, signal, sys, time\n"
 END = "leave_when_asked('asked')\n"

@@ -346,9 +346,9 @@ def test_a_stored_run_must_cover_the_problem(tmp_path):
     # ln K is linear between saved times and nodes
     middle = np.sqrt(np.sqrt(run.K[1, 7] * run.K[1, 8]) * np.sqrt(run.K[2, 7] * run.K[2, 8]))
     assert k.values(0.375, 0.5 * (run.x[7] + run.x[8])) == pytest.approx(middle, rel=1e-12)
-    with pytest.raises(hj.InputError, match="is known until t = 1, and the run ends at 2"):
+    with pytest.raises(hj.InputError, match="is known until t = 1, but the run ends at 2"):
         hj.solve_hj(hj.Problem(hj.rational(), profile, end=2.0, coefficient=k), hj.Grid(-4.0, 100))
-    with pytest.raises(hj.InputError, match="is known from x = -4 on, and the domain begins at -5"):
+    with pytest.raises(hj.InputError, match="is known from x = -4 on, but the domain begins at -5"):
         hj.solve_hj(hj.Problem(hj.rational(), profile, end=1.0, coefficient=k), hj.Grid(-5.0, 100))
     with pytest.raises(hj.InputError, match="is not a result folder"):
         hj.stored_coefficient(tmp_path / "nowhere")

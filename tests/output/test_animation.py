@@ -57,8 +57,8 @@ def test_every_saved_time_is_shown(name):
         assert sorted(dots.get_xdata()) == sorted(float(run.units.x(k.x)) if run.units else k.x for k in strongest)
         assert sum(len(t.get_xdata()) for t in trails) == sum(len(run.kinks_at(j)) for j in range(i + 1))
         poured = run.time[i] * (run.units.volume if run.units else 1.0)
-        assert moving[-3].get_text().startswith("poured in ")
-        assert float(moving[-3].get_text().split()[2].replace(",", "")) == pytest.approx(poured, rel=0.01, abs=0.5)
+        assert moving[-3].get_text().startswith("supplied ")
+        assert float(moving[-3].get_text().split()[1].replace(",", "")) == pytest.approx(poured, rel=0.01, abs=0.5)
     assert_legible(figure)
 
 
@@ -124,7 +124,7 @@ def test_one_sentence_where_it_cannot(result, call, monkeypatch, arguments, word
     monkeypatch.setenv("PATH", str(result))
     before = sorted(p for p in result.parent.rglob("*"))
     code, out, err = call("animate", "bump", *arguments)
-    assert (code, out) == (2, "") and words in err and err.count("\n") == err.count("(docs/errors.md#a-") == 1
+    assert (code, out) == (2, "") and words in err and err.count("\n") == err.count("(see: hjprofile explain a-") == 1
     assert sorted(p for p in result.parent.rglob("*")) == before
 
 

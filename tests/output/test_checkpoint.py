@@ -45,7 +45,7 @@ def test_every_method_goes_on_bit_for_bit(method, changes, tmp_path):
     whole = fingerprint(solve_case(case))
     for lots in (3, 5, 9):
         keeper = Checkpoint(tmp_path, 1e9, resume=False)
-        with pytest.raises(hj.RunError, match=r"interrupted at t = .*--resume goes on from there"):
+        with pytest.raises(hj.RunError, match=r"interrupted at t = .*--resume continues from it"):
             solve_case(case, Stop(keeper, lots), keeper=keeper)
         again = Checkpoint(tmp_path, 1e-9, resume=True)
         assert fingerprint(solve_case(case, keeper=again)) == whole
@@ -125,7 +125,7 @@ def test_functions_of_no_file_keep_no_checkpoints(part, tmp_path):
     case = case_of("godunov")
     case = replace(case, problem=replace(case.problem, **{part: given[part]}))
     assert solve_case(case).done
-    with pytest.raises(hj.InputError, match=f"scene.toml: the {part} is a Python function of no file"):
+    with pytest.raises(hj.InputError, match=f"scene.toml: the {part} is a Python function that is in no file"):
         solve_case(case, keeper=Checkpoint(tmp_path, 1.0, resume=False))
 
 

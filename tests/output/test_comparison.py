@@ -45,7 +45,7 @@ def test_what_is_shared():
     ("other", "words"),
     [
         (solved(150), "100 and 150 cells do not nest"),
-        (solved(100, left=-5.0), r"grids over \[-4, 0\] and \[-5, 0\] differ, so .*; set left .* to one value"),
+        (solved(100, left=-5.0), r"grids over \[-4, 0\] and \[-5, 0\] differ, so .*; set left .* to the same value"),
         (solved(100, line="whole"), r"grids over \[-4, 0\] and \[-4, 1\] differ"),  # on which x would lie elsewhere
         (dataclasses.replace(solved(100), time=solved(100).time + 0.1), "share no saved time"),
     ],
@@ -65,14 +65,14 @@ def test_the_picture(other):
     figure = draw_comparison(first, other, NAMES)
     figure.canvas.draw()
     assert_legible(figure)
-    top, middle, bottom, last, bar = figure.axes
+    top, middle, bottom, last, ways, bar = figure.axes
     both = shared(first, other)
     for k, colour in enumerate(TWO_RUNS):
         drawn = [line.get_ydata() for line in top.lines if line.get_color() == colour]
         assert len(drawn) == min(both.first.size, 4) and np.array_equal(drawn[-1], both.height[k, -1])
     for axes, field in ((middle, both.height), (bottom, both.slope)):
         assert any(np.array_equal(line.get_ydata(), field[0, -1] - field[1, -1]) for line in axes.lines)
-    curve, dots = last.lines
+    (curve,), (dots,) = last.lines, ways.lines
     largest = np.abs(both.height[0] - both.height[1]).max(axis=1)
     assert np.array_equal(np.nan_to_num(curve.get_ydata()), np.where(largest > 1e-12, largest, 0.0))
     apart = [kink_distances(first.kinks_at(i), other.kinks_at(j)) for i, j in zip(both.first, both.second, strict=True)]
@@ -90,15 +90,15 @@ def test_two_runs_of_one_survey_are_drawn_in_its_units():
     both, figure = shared(first, other), draw_comparison(first, other, NAMES)
     figure.canvas.draw()
     assert_legible(figure)
-    top, middle, bottom, last, _ = figure.axes
-    assert (top.get_ylabel(), middle.get_ylabel()) == ("height (survey)", "difference of height")
-    assert bottom.get_xlabel() == "x (units of the survey)" and bottom.get_xlim() == (200.0, 1000.0)
+    top, middle, bottom, last, ways, _ = figure.axes
+    assert (top.get_ylabel(), middle.get_ylabel()) == ("height (survey units)", "difference of height\n(survey units)")
+    assert bottom.get_xlabel() == "x (survey units)" and bottom.get_xlim() == (200.0, 1000.0)
     u, metres = both.height[:, -1], 200.0 * 0.25
     early = both.height[:, 1]
     assert any(np.allclose(line.get_ydata(), 450.0 + metres * u[0]) for line in top.lines)
     assert any(np.allclose(line.get_ydata(), metres * (u[0] - u[1])) for line in middle.lines)
     assert any(np.array_equal(line.get_ydata(), both.slope[0, -1] - both.slope[1, -1]) for line in bottom.lines)
-    largest, apart = (line.get_ydata() for line in last.lines)
+    (largest,), (apart,) = ([line.get_ydata() for line in axes.lines] for axes in (last, ways))
     assert largest[1] == pytest.approx(metres * np.abs(early[0] - early[1]).max())
     of_kinks = np.concatenate([kink_distances(first.kinks_at(i), other.kinks_at(i)) for i in range(first.time.size)])
     assert list(apart) == pytest.approx(200.0 * of_kinks[of_kinks > 1e-12])
@@ -111,7 +111,9 @@ def test_runs_in_different_units_are_not_compared(change):
     """The same ground differs by any amount in the numbers of two units."""
     first = dataclasses.replace(solved(100), units=UNITS)
     other = dataclasses.replace(solved(100), units=dataclasses.replace(UNITS, **change))
-    words = r"surveys in different units \(length = 200, critical_slope = 0.25, top at x = 1000, height 450; and length"
+    words = (
+        r"surveys in different units \(length = 200, critical_slope = 0.25, crest at x = 1000, height 450; and length"
+    )
     for compared in (compare, lambda one, two: draw_comparison(one, two, NAMES)):
         with pytest.raises(hj.InputError, match=words):
             compared(first, other)
@@ -156,10 +158,14 @@ def test_the_command(results, call, monkeypatch):
     assert (results / "a" / "comparison.png").is_file() and (results / "a" / "comparison.svg").is_file()
     code, out, err = call("compare", "a", "b", "--out", "both", "--json")
     document = json.loads(out)
-    assert norms.shared_times == 9 and "9 in both, of 9 and 9 that are saved" in call("compare", "a", "b")[1]
+    assert norms.shared_times == 9 and "9 shared, of 9 and 9 saved times" in call("compare", "a", "b")[1]
     assert document == norms._asdict() | {"files": ["both/comparison.png", "both/comparison.svg"]}
     code, out, err = call("compare", "a", "c", "--out", "none")
-    assert (code, out) == (2, "") and err.count("\n") == err.count("(docs/errors.md#a-") == 1 and "do not nest" in err
+    assert (
+        (code, out) == (2, "")
+        and err.count("\n") == err.count("(see: hjprofile explain a-") == 1
+        and "do not nest" in err
+    )
     assert not (results / "none").exists()
     for name, cells in (("d", 100), ("e", 400)):
         write_run(dataclasses.replace(solved(cells), units=UNITS), name, vtk=False, plots=False)

@@ -213,7 +213,7 @@ def test_commands_refuse_a_faulty_folder(tmp_path, call, fault):
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("title", "x" * 10**6), ("cells", 41), ("end", 1.0), ("status", "stopped"), ("steps", -1), ("warnings", [3])],
+    [("title", "x" * 10**6), ("cells", 41), ("supplied", 1.0), ("status", "stopped"), ("steps", -1), ("warnings", [3])],
 )
 def test_a_summary_that_is_not_of_the_run_is_refused(stored, key, value):
     path = stored[0] / "summary.json"

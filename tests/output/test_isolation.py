@@ -128,7 +128,9 @@ def test_a_terminal_that_lacks_letters_ends_no_command(in_tmp, encoding):
     )
     done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True)
     out, err = done.stdout.decode(encoding), done.stderr.decode(encoding)
-    assert done.returncode == 2 and err.startswith("hjprofile: no ?.toml: no such file") and err.count("\n") == 1
+    assert (
+        done.returncode == 2 and err.startswith("hjprofile: no ?.toml: there is no such file") and err.count("\n") == 1
+    )
     assert Path("results/scène α/comparison.png").exists() and "sup|u? - u?| = 0" in out
     document = out[out.index("{") : out.index("\n}\n") + 2]
     assert __import__("json").loads(document)["title"] == "α ∫ 字"  # a script loses no letter

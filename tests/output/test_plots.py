@@ -13,7 +13,7 @@ from matplotlib import image
 
 import hjprofile as hj
 from hjprofile.output.plots import style
-from hjprofile.output.plots.runs import draw_diagram, draw_factor, draw_profiles, pictures
+from hjprofile.output.plots.runs import draw_diagram, draw_factor, draw_profiles, pictures, unresolved
 from hjprofile.output.plots.study_pictures import draw_fit
 from hjprofile.studies.tracing import traceable_law
 
@@ -133,7 +133,7 @@ def test_every_axis_has_a_label(name, draw):
     for axes in plain(figure):
         beside = axes.get_shared_x_axes().get_siblings(axes)
         labels = {other.get_xlabel() for other in beside} - {""}
-        assert labels == {"x (units of the survey)" if name == "survey" else "x (in exchange lengths; the top is at 0)"}
+        assert labels == {"x (survey units)" if name == "survey" else "x (exchange lengths; crest at 0)"}
         assert any(tick.get_text() for tick in axes.get_yticklabels())
 
 
@@ -150,7 +150,7 @@ def test_a_survey_is_drawn_in_its_own_units(draw):
     assert (left, right) == pytest.approx((run.units.x(run.x[0]), run.units.x_top), rel=1e-15)
     if draw is draw_profiles:
         top = plain(drawn("survey", draw))[0]
-        assert top.get_ylabel() == "height (survey)"
+        assert top.get_ylabel() == "height (survey units)"
         assert top.lines[0].get_ydata()[-1] == pytest.approx(run.units.height_top, rel=1e-12)  # sums over the cells
 
 
@@ -162,7 +162,7 @@ def test_what_is_poured_on_a_survey_is_a_volume_in_its_units(draw):
         (axes,) = plain(figure) if draw is draw_diagram else set(figure.axes) - set(plain(figure))
         volume = 200.0**2 * 0.257 if name == "survey" else 1.0
         assert axes.get_ylim() == pytest.approx((0.0, volume * run.time[-1]), rel=1e-15)
-        label = "poured in: volume per width" if name == "survey" else "t: mass of grains poured in"
+        label = "supplied, per width (survey units²)" if name == "survey" else "supplied mass t"
         assert axes.get_ylabel() == label
 
 
@@ -263,7 +263,7 @@ def test_what_cannot_be_traced_is_left_out():
     run = dataclasses.replace(solved("kinks"), case=case)
     assert traceable_law(run) is None
     assert "characteristic" not in keys_of(draw_diagram(run))
-    assert plain(draw_factor(run))[0].get_ylabel() == "flux of grains K"
+    assert plain(draw_factor(run))[0].get_ylabel() == "grain flux K\nrelative to the supply"
 
 
 def test_erosion_and_deposition_are_told_apart():
@@ -283,7 +283,9 @@ def test_erosion_and_deposition_are_told_apart():
         assert np.all(np.abs(edges - corners[:, 1]).min(axis=0) < tolerance)  # on one of the profiles
         assert np.all(sign * (edges[1] - edges[0]) > -tolerance)
     areas = [0.5 * np.diff(x) @ (h[1:] + h[:-1]) for h in (np.maximum(-change, 0.0), np.maximum(change, 0.0))]
-    keys = [f"{word} (area {area:,.0f})" for word, area in zip(("eroded", "deposited"), areas, strict=True)]
+    keys = [
+        f"{word} (area {area:,.0f} survey units²)" for word, area in zip(("eroded", "deposited"), areas, strict=True)
+    ]
     assert keys_of(drawn("survey", draw_profiles)) == [*keys, "kink"]
     assert keys_of(drawn("flat", draw_profiles)) == []
 
@@ -329,3 +331,23 @@ def test_a_fit_is_legible_and_says_what_it_found():
     value, low, high = (float(word.strip(",").replace(",", "")) for word in np.array(lines[1].split())[[2, 3, 5]])
     assert low < found.volume.value < high and value == pytest.approx(found.volume.value, abs=0.5)
     assert len(keys_of(figure)) == 4 and all(axes.get_ylabel() for axes in figure.axes)
+
+
+def test_a_kink_that_the_grid_loses_is_marked():
+    """At its last saved time; one that merges, leaves or lasts is not."""
+    run = hj.solve_case(hj.load_case("hillslope", {"domain.cells": 300}))
+    lost = unresolved(run)
+    ended = {e.kink for e in run.events if e.event in ("merge", "exit")}
+    last = {k.kink for k in run.kinks_at(-1)}
+    assert lost and not lost & (ended | last)
+    figure = draw_diagram(run)
+    marks = [line for line in plain(figure)[0].lines if line.get_marker() == "x"]
+    assert [len(line.get_xdata()) for line in marks] == [len(lost)] and "unresolved" in keys_of(figure)
+    assert unresolved(solved("kinks")) == set() and "unresolved" not in keys_of(drawn("kinks", draw_diagram))
+
+
+@pytest.mark.parametrize("name", ["kinks", "survey", "flat"])
+def test_panels_have_letters(name):
+    """Each in the corner with the fewest points of curves."""
+    panels = plain(drawn(name, draw_profiles))
+    assert [[text.get_text() for text in axes.texts] for axes in panels] == [["(a)"], ["(b)"], ["(c)"]]

@@ -87,7 +87,7 @@ def test_files_that_are_no_toml(folder, name):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("two_kinkz", ["two_kinkz: no such file", "did you mean 'two_kinks'?", "they are: "]),
+        ("two_kinkz", ["two_kinkz: there is no such file", "did you mean 'two_kinks'?", "its cases are: "]),
         ("nowhere/two_kinkz.toml", ["did you mean 'two_kinks'?"]),
         (".", ["no such file"]),
         ("", ["no such file"]),
@@ -138,7 +138,7 @@ def test_a_grid_that_fits_no_memory_is_refused_before_anything_is_allocated(fold
         assert words in message
     load_case(write(folder, changed({"domain.cells": most})))
     assert "at most 2730 cells" in refusal(write(folder, changed({"domain.cells": most + 1})))
-    assert "keep fewer snapshots" in refusal(write(folder, changed({"time.snapshots": 10_000})))
+    assert "use fewer snapshots" in refusal(write(folder, changed({"time.snapshots": 10_000})))
 
 
 @pytest.mark.parametrize("law", LAWS)

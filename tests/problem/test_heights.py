@@ -99,7 +99,7 @@ def test_a_survey_across_its_crest_is_told_so(tmp_path, noise, repair):
     x, height = hill(noise=noise)
     message, row = refused(write(tmp_path, x, height), repair=repair), int(np.argmax(height)) + 2
     assert abs(row - 122) <= 5
-    assert f"passes its crest in row {row} (x = {row - 2:g}), and a case is of one flank" in message
+    assert f"passes its crest in row {row} (x = {row - 2:g}), but a case has one flank" in message
     assert f"keep rows 2 to {row}, or mirror rows {row} to 242" in message and "repair" not in message
     if not noise:
         hj.survey(write(tmp_path, x[:121], height[:121]), 0.36, 12.0)
@@ -163,5 +163,7 @@ def test_a_coefficient_is_of_the_same_slope(tmp_path):
     assert K.units == slope.units and not K.units.same(units)
     assert dataclasses.replace(problem, coefficient=K).coefficient is K
     other = dataclasses.replace(slope, units=dataclasses.replace(slope.units, length=24.0))
-    with pytest.raises(hj.InputError, match=r"the coefficient is of a slope with length = 12, .* has length = 24, "):
+    with pytest.raises(
+        hj.InputError, match=r"the coefficient was found for a survey with length = 12, .* has length = 24, "
+    ):
         dataclasses.replace(problem, profile=other, coefficient=K)

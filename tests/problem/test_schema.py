@@ -27,11 +27,11 @@ FOUR = {  # an unknown key, a misspelt name, a wrong type, a missing key
 }
 SENTENCES = [
     "[erosion] law = 'ratinal' is not known; did you mean 'rational'? allowed are 'rational', 'log', 'power', "
-    "'expression', 'python' (docs/errors.md#a-misspelt-name)",
-    "[domain] cells = 60.0 must be a whole number (docs/errors.md#a-value-of-the-wrong-kind)",
-    "[time] end is missing; it must be a finite number (docs/errors.md#a-key-that-is-missing)",
+    "'expression', 'python' (see: hjprofile explain a-misspelt-name)",
+    "[domain] cells = 60.0 must be a whole number (see: hjprofile explain a-value-of-the-wrong-kind)",
+    "[time] end is missing; it must be a finite number (see: hjprofile explain a-key-that-is-missing)",
     "[solver] metod is not a known key; did you mean 'method'? (allowed: method, cfl, tolerance, refresh) "
-    "(docs/errors.md#a-misspelt-key)",
+    "(see: hjprofile explain a-misspelt-key)",
 ]
 
 
@@ -64,7 +64,7 @@ def test_each_fault_keeps_its_heading_and_survives_a_pickle(folder):
     with pytest.raises(InputError) as refused:
         parse_case(FOUR, "scene", "scene.toml", folder)
     error = pickle.loads(pickle.dumps(refused.value))
-    told = [f"{fault} (docs/errors.md#{fault.about})" for fault in error.faults]
+    told = [f"{fault} (see: hjprofile explain {fault.about})" for fault in error.faults]
     assert told == [f"scene.toml: {sentence}" for sentence in SENTENCES]
     assert error.about == "a-misspelt-name"
     one = InputError("x = 3 must be 4", "a-survey")
@@ -75,9 +75,9 @@ ONE = {  # changes to VALID that are one fault, which could be taken for two -> 
     "a section misspelt": (
         {"erosion": REMOVED, "erosoin": {"law": "log"}}, "erosoin is not a known key; did you mean 'erosion'?",
     ),
-    "a required key misspelt": ({"time": {"ed": 1.0}}, "[time] end is missing (is 'ed' meant for it?)"),
-    "a required key in capitals": ({"time": {"END": 1.0}}, "[time] end is missing (is 'END' meant for it?)"),
-    "a chooser misspelt": ({"profile": {"kynd": "steady", "flux": 0.3}}, "[profile] kind is missing (is 'kynd' meant"),
+    "a required key misspelt": ({"time": {"ed": 1.0}}, "[time] end is missing ('ed' is not a known key)"),
+    "a required key in capitals": ({"time": {"END": 1.0}}, "[time] end is missing ('END' is not a known key)"),
+    "a chooser misspelt": ({"profile": {"kynd": "steady", "flux": 0.3}}, "[profile] kind is missing ('kynd' is not a known key)"),
     "a law misspelt, whose keys are unknown": ({"erosion": {"law": "powr", "m": 2.0}}, "[erosion] law = 'powr' is not"),
     "a section that is no table": ({"domain": 3}, "domain = 3 must be a table"),
     "a profile at fault, whose grid is unknown": (
@@ -118,7 +118,7 @@ SEVERAL = {  # changes to VALID -> the beginnings of the sentences
     ),
     "parts that do not go together": (
         {"layer": {"supply_flux": 0.1}, "coefficient": {"kind": "expression", "expression": "-1"}, "domain.left": -2.5},
-        ["[layer] a coefficient and a rolling layer do not", "[profile] the profile reaches left to x = -3",
+        ["[layer] a coefficient and a rolling layer cannot be", "[profile] the profile reaches left to x = -3",
          "[coefficient] the coefficient k = -1 at t = 0"],
     ),
     "above all sections": (

@@ -53,7 +53,7 @@ def test_what_a_method_supports_it_solves_and_the_rest_it_refuses(method, featur
 def test_a_refresh_goes_with_the_nonlocal_factor_on_the_half_line_only():
     for feature in (Feature.LAYER, Feature.WHOLE_LINE, Feature.LINEAR_GROWTH):
         problem = ASKING[feature][0]
-        with pytest.raises(hj.InputError, match=r"refresh = 0\.05 does not go together with") as error:
+        with pytest.raises(hj.InputError, match=r"refresh = 0\.05 cannot be combined with") as error:
             requirements(problem, 0.05)
         assert feature.words in str(error.value)
 

@@ -164,7 +164,7 @@ def test_the_left_end_is_found():
         assert least <= grid.left <= most
         hj.Problem(hj.rational(), profile, end=1.0).check(grid)
     assert T2.grid(100, tail=1e-11).left < T2.grid(100).left - 1.0
-    with pytest.raises(hj.InputError, match=r"left must be given: the profile is not critical .* x = -4096"):
+    with pytest.raises(hj.InputError, match=r"left must be given: the slope is not neutral .* x = -4096"):
         hj.profile(lambda x: 2.0 * x).grid()
     with pytest.raises(hj.InputError, match="left must be given: the profile has no height down to"):
         hj.profile(lambda x: {}[x]).grid()

@@ -140,7 +140,7 @@ def test_a_run_ends_where_something_leaves_the_window(method, profile):
     run = of_method(problem, hj.Grid(-6.0, 400, right=4.0), method)
     # the kink arrives at t = 7; the bump's upper edge, a tail of 1e-6, moves with the speed 1 from about 1.5 on
     assert run.time[-1] == pytest.approx(6.75, abs=0.26) if profile == "kink" else 2.25 <= run.time[-1] <= 3.0
-    assert "something left the window at x = 4; set right to more" in run.status
+    assert "q left the window at x = 4; increase right" in run.status
     assert run.status.startswith("stopped at t = ") and run.time[-1] < 7.0 + 1e-9
     assert all(k.time <= run.time[-1] for k in run.kinks) and all(e.event != "exit" for e in run.events)
     lowered = run.u[0] - run.u[-1]
@@ -159,17 +159,17 @@ def test_times_and_places_in_sentences_are_those_of_the_line():
 
 def test_no_saved_time_before_something_leaves():
     late = replace(wave(hj.rational(), end=20.0), snapshots=[20.0])
-    with pytest.raises(hj.RunError, match=r"before the first saved time, t = 20, something left the window at x = 4"):
+    with pytest.raises(hj.RunError, match=r"before the first saved time, t = 20, q left the window at x = 4"):
         hj.solve_hj(late, GRID)
 
 
 def test_what_has_no_place_on_the_line():
     for profile, words in (
-        (hj.steady(0.3, -1.0), "kind = 'steady' belongs to the half line"),
-        (hj.bumps([0.5], [3.0], [1.0]), "the slope is not critical from right = 4 on"),
+        (hj.steady(0.3, -1.0), "kind = 'steady' is for the half line only"),
+        (hj.bumps([0.5], [3.0], [1.0]), "the slope is not neutral from right = 4 on"),
         (hj.bumps([1.0, -1.5], [0.0, 3.0], [1.0, 0.2]), "q must be above -1"),
         (hj.kinks([4.5], [0.5]), r"positions\[0\] = 4.5 lies past right = 4"),
-        (hj.profile(lambda x: x + 0.1 * np.maximum(x, 0.0)), "the slope is not critical from right = 4 on"),
+        (hj.profile(lambda x: x + 0.1 * np.maximum(x, 0.0)), "the slope is not neutral from right = 4 on"),
     ):
         problem = hj.Problem(hj.rational(), profile, end=1.0, line="whole")
         for solve in (hj.solve_hj, hj.solve_conservative, hj.track_fronts, hj.solve_characteristics):

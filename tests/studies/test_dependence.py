@@ -38,9 +38,9 @@ def test_with_one_prescribed_coefficient_no_distance_grows(k, monkeypatch):
     sentences, failed = study.summary(found)
     assert not failed and "never grows, 9 pairs" in sentences[0]
     steady = not (isinstance(k, str) and "t" in k)  # the function of t and x does not depend on t
-    assert (sentences[3] == "refresh      none: the coefficient does not change") == steady
+    assert (sentences[3] == "refresh      not applicable: the coefficient is constant in time") == steady
     assert bool(of(found, "refresh")) != steady
-    assert len(draw_dependence(found).axes) == 4
+    assert len(draw_dependence(found).axes) == 4 + (not steady)  # with an axis for the distance of kinks
 
 
 def test_a_pair_takes_the_same_time_steps():
@@ -141,11 +141,11 @@ def test_what_cannot_be_studied_is_refused():
     gone = hj.Problem(hj.rational(), hj.kinks([-1.0], [0.5]), end=400.0)  # it leaves at t = 1.3
     for nothing in (gone, hj.Problem(hj.rational(), hj.steps([-2.0, -1.0], [0.0]), end=1.0)):
         with pytest.raises(
-            InputError, match=r"gone: the slope is critical at t = \S+, where distances are measured first"
+            InputError, match=r"gone: the slope is neutral from the first measurement on, at t = \S+; set"
         ):
             study.dependence("gone", nothing, hj.Grid(-2.0, 100))
     still = hj.Problem(hj.rational(), hj.bumps([0.5], [-3.0], [0.5]), end=0.0)
-    with pytest.raises(InputError, match="no time passes"):
+    with pytest.raises(InputError, match="end = 0; the study of dependence"):
         study.dependence("still", still, hj.Grid(-6.0, 100))
 
 
@@ -161,7 +161,7 @@ def test_other_models_are_refused_by_their_case(name, words):
 
 def test_the_picture_shows_every_pair(distances):
     panels = draw_dependence(distances).axes
-    assert len(panels) == 4
+    assert len(panels) == 5  # the last is the axis for the distance of kinks
     pairs = len({d.member for d in of(distances, "data")})
     assert len([line for line in panels[0].lines if len(line.get_xdata()) == study.MOMENTS]) == pairs
     shown = sum(len(line.get_xdata()) for line in panels[2].lines[:-1])

@@ -103,8 +103,8 @@ def test_picture(trials):
     ("problem", "words"),
     [
         (hj.Problem(hj.rational(), hj.steady(0.4), end=1.0), "flux that enters"),
-        (hj.Problem(hj.rational(), hj.kinks([-1.0], [0.4]), end=0.0), "nothing happens"),
-        (hj.Problem(hj.rational(), hj.steps([-2.0, -1.0], [0.0]), end=1.0), "nothing happens"),
+        (hj.Problem(hj.rational(), hj.kinks([-1.0], [0.4]), end=0.0), "the profile does not change"),
+        (hj.Problem(hj.rational(), hj.steps([-2.0, -1.0], [0.0]), end=1.0), "the profile does not change"),
     ],
 )
 def test_nothing_to_scan(problem, words):

@@ -293,19 +293,22 @@ def test_whatever_a_users_law_raises_is_the_members_own(in_tmp, monkeypatch):
 
     monkeypatch.setattr(evidence, "solve_case", faulty)
     statuses = [o.status for o in hj.sweep(write_case(in_tmp), {"time.end": [0.4, 0.5, 0.6]}).outcomes]
-    assert statuses[:2] == ["done", "KeyError: 'no such slope'"] and "memory is not enough" in statuses[2]
+    assert (
+        statuses[:2] == ["done", "KeyError: 'no such slope'"]
+        and "memory of this machine is not sufficient" in statuses[2]
+    )
 
 
 def test_broken_bounds_are_named(scene, call, alone):
     code, out, _ = call("sweep", scene, "--vary", "solver.cfl=1.8,0.5", "--vary", "solver.method=godunov")
     table = rows("results/scene/sweep.csv")
     assert code == 0 and table[0]["status"] == "done" and table[0]["broken_bounds"] and not table[1]["broken_bounds"]
-    assert "bounds did not hold in 1 members" in out
+    assert "bounds are violated in 1 members" in out
 
 
 def test_all_failed_is_exit_code_1(scene, call, alone):
     code, out, err = call("sweep", scene, "--vary", "solver.cfl=20,30")
-    assert code == 1 and "2 failed" in out and err.count("\n") == 1 and "no member could be solved" in err
+    assert code == 1 and "2 failed" in out and err.count("\n") == 1 and "no member was solved" in err
     assert len(rows("results/scene/sweep.csv")) == 2
 
 
@@ -318,7 +321,7 @@ def test_all_failed_is_exit_code_1(scene, call, alone):
         (["erosion.m=1,,2"], "must have values"),
         (["erosion.m=[1"], "must have values"),
         (["erosion.m=1 2"], "must have values"),
-        (["erosion.m=1", "erosion.m=2"], "erosion.m is there twice"),
+        (["erosion.m=1", "erosion.m=2"], "erosion.m is given twice"),
         (["erosion.m=1,1.0"], "erosion.m has a value twice: 1, 1"),
         (["m=1"], "'m' is not a key of a case"),
         (["cells=10"], "'cells' is not a key of a case; did you mean 'domain.cells'? it is written section.key"),
@@ -331,7 +334,7 @@ def test_all_failed_is_exit_code_1(scene, call, alone):
         (["erosion.m=1,-2"], "[erosion] m = -2 must be a positive number"),
         (["erosion.m=1,heavy"], "[erosion] m = 'heavy' must be a positive number"),
         (["domain.cells=80,80.5"], "[domain] cells = 80.5 must be a whole number"),
-        (["domain.cells=9" + "0" * 30], "of memory and this machine has"),
+        (["domain.cells=9" + "0" * 30], "of memory, but this machine has"),
         (["solver.method=godunov,godnov", "erosion.m=1,2"], "did you mean 'godunov'?"),
         (["solver.tolerance=1e-6"], "tolerance applies to the methods characteristics and auto"),
         (["profile.values=[0.4,1.2],[0.4]"], "values has 1"),
@@ -380,7 +383,7 @@ def test_what_is_done_is_not_run_again(scene, ran):
         if what := next(stop):
             raise what
 
-    with pytest.raises(hj.RunError, match=r"interrupted; 3 of 6 members are kept in out/members, and --resume"):
+    with pytest.raises(hj.RunError, match=r"interrupted; 3 of 6 members are stored in out/members, and --resume"):
         hj.sweep(scene, vary, folder="out", progress=progress)
     assert len(ran) == 3 and sorted(p.name for p in Path("out").iterdir()) == [RECORD, KEPT]
     ran.clear()
@@ -469,7 +472,7 @@ def test_the_account_stays_short(scene, call, alone):
     assert lines[0] == "Zwei Knicke: 30 members, 30 done, 0 failed" and lines[-2] == "  ... and 16 more"
     assert lines[-1] == "written to there: sweep.csv, sweep.nc"
     code, out, _ = call(*arguments, "--resume")
-    assert code == 0 and out.startswith("Zwei Knicke: 30 members, 30 done (30 of them before), 0 failed\n")
+    assert code == 0 and out.startswith("Zwei Knicke: 30 members, 30 done (30 of them in an earlier sweep), 0 failed\n")
 
 
 def test_a_lost_worker(in_tmp, call):
@@ -479,7 +482,7 @@ def test_a_lost_worker(in_tmp, call):
     write_case(in_tmp, erosion={"law": "python", "file": "law.py", "function": "f"})
     code, out, err = call("sweep", "scene.toml", "--vary", "time.end=0.5,1", "--workers", "2")
     assert (code, out, err.count("\n")) == (1, "", 1)
-    assert "a worker was lost" in err and "0 of 2 members are kept in results/scene/members, and --resume" in err
+    assert "a worker was lost" in err and "0 of 2 members are stored in results/scene/members, and --resume" in err
 
 
 def descendants(pid):
@@ -530,7 +533,7 @@ def test_a_sweep_that_is_stopped_loses_only_what_was_in_flight(in_tmp, call, mon
     monkeypatch.setenv("IN_HASTE", "yes")
     monkeypatch.setattr(workers, "processes", lambda count: nullcontext())
     code, out, _ = call(*arguments, "--resume")
-    assert code == 0 and f"12 done ({done} of them before)" in out
+    assert code == 0 and f"12 done ({done} of them in an earlier sweep)" in out
     assert [float(row["time.end"]) for row in rows("results/scene/sweep.csv")] == ends
     assert [p.suffix for p in kept.iterdir()] == [".npz"] * 12
 

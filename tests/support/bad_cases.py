@@ -146,7 +146,7 @@ BAD |= {
     "wrong sign": (
         {"erosion": {"law": "expression", "expression": "-q/(1+q)"}},
         "erosion",
-        ["f' > 0 fails at q = ", "its sign is wrong, f must be positive where q > 0"],
+        ["f' > 0 fails at q = ", "its sign is wrong, because f must be positive for q > 0"],
     ),
     "convex": (
         {"erosion": {"law": "expression", "expression": "exp(q) - 1"}},
@@ -156,7 +156,7 @@ BAD |= {
     "not 0 at 0": (
         {"erosion": {"law": "expression", "expression": "q/(1+q) + 0.1"}},
         "erosion",
-        ["f(0) = 0 fails at q = 0, where f = 0.1; at the critical slope nothing erodes or settles"],
+        ["f(0) = 0 fails at q = 0, where f = 0.1; at the neutral slope grains are neither eroded nor deposited"],
     ),
     "a power of another language": (
         {"erosion": {"law": "expression", "expression": "q^2"}},
@@ -174,7 +174,7 @@ BAD |= {
             "coefficient": {"kind": "expression", "expression": "exp(x)"},
         },
         "coefficient",
-        ["a coefficient and a law with growth = 'linear' do not go together"],
+        ["a coefficient and a law with growth = 'linear' cannot be combined"],
     ),
     "unknown section": (
         {"erosoin": {}},
@@ -195,14 +195,14 @@ BAD |= {
     "key of another law": ({"erosion.m": 2.0}, "erosion", ["m is not a known key (allowed: law)"]),
     "key of another kind": ({"profile.flux": 0.3}, "profile", ["flux is not a known key", "amplitudes"]),
     "left = 0": ({"domain.left": 0}, "domain", ["left = 0.0 must be a negative number"]),
-    "left > 0": ({"domain.left": 2.5}, "domain", ["left = 2.5 must be a negative number: the top of the slope"]),
+    "left > 0": ({"domain.left": 2.5}, "domain", ["left = 2.5 must be a negative number, because the crest"]),
     "right on the half line": (
         {"domain.right": 2.5},
         "domain",
-        ["right = 2.5 needs line = 'whole'", "the top is at x"],
+        ["right = 2.5 needs line = 'whole'", "the crest is at x"],
     ),
-    "a needed key misspelt": ({"time": {"ed": 1.0}}, "time", ["end is missing (is 'ed' meant for it?); it must be"]),
-    "law misspelt": ({"erosion": {"lav": "log"}}, "erosion", ["law is missing (is 'lav' meant for it?)"]),
+    "a needed key misspelt": ({"time": {"ed": 1.0}}, "time", ["end is missing ('ed' is not a known key); it must be"]),
+    "law misspelt": ({"erosion": {"lav": "log"}}, "erosion", ["law is missing ('lav' is not a known key)"]),
     "no right on the line": ({"domain.line": "whole"}, "domain", ["right is missing; it must be a finite number"]),
     "unknown line": ({"domain.line": "double"}, "domain", ["line = 'double' is not known", "'half', 'whole'"]),
     "right of left": (
@@ -222,12 +222,12 @@ BAD |= {
             "profile": {"kind": "bumps", "amplitudes": [0.5], "centres": [-3.0], "widths": [0.5]},
         },
         "profile",
-        ["the slope is not critical from right = -2 on", "set right to more"],
+        ["the slope is not neutral from right = -2 on", "increase right"],
     ),
     "a steady slope on the line": (
         {"domain.line": "whole", "domain.right": 1.0, "profile": {"kind": "steady", "flux": 0.3, "kink": -2.0}},
         "profile",
-        ["kind = 'steady' belongs to the half line"],
+        ["kind = 'steady' is for the half line only"],
     ),
     "no supply_flux": ({"layer": {"supply_flux": -0.5}}, "layer", ["supply_flux = -0.5 must be a number, 0 or more"]),
     "a layer under another law": (
@@ -253,16 +253,16 @@ BAD |= {
     "snapshots before 0": ({"time.snapshots": [-0.5, 1.0]}, "time", ["snapshots holds -0.5", "between 0 and end = 1"]),
     "unsorted snapshots": ({"time.snapshots": [0.5, 0.25]}, "time", ["snapshots = [0.5, 0.25] must increase"]),
     "repeated snapshots": ({"time.snapshots": [0.5, 0.5]}, "time", ["snapshots = [0.5, 0.5] must increase"]),
-    "too many snapshots": ({"time.snapshots": 10**15}, "domain", [f"with {10**15} snapshots", "keep fewer snapshots"]),
-    "far too many snapshots": ({"time.snapshots": 10**400}, "domain", ["snapshots needs", "keep fewer snapshots"]),
+    "too many snapshots": ({"time.snapshots": 10**15}, "domain", [f"with {10**15} snapshots", "use fewer snapshots"]),
+    "far too many snapshots": ({"time.snapshots": 10**400}, "domain", ["snapshots needs", "use fewer snapshots"]),
     "past the domain": (
         {"domain.left": -2.5},
         "profile",
         ["reaches left to x = -3", "left = -2.5", "must be at most -3"],
     ),
-    "falling kinks": ({"profile.amplitudes": [0.4, 0.1]}, "profile", ["amplitudes[1] = 0.1 must exceed the q = 0.14"]),
+    "falling kinks": ({"profile.amplitudes": [0.4, 0.1]}, "profile", ["amplitudes[1] = 0.1 must exceed q = 0.14"]),
     "lengths differ": ({"profile.amplitudes": [0.4]}, "profile", ["amplitudes has 1 entries and positions has 2"]),
-    "past the top": ({"profile.positions": [-3.0, 1.0]}, "profile", ["positions[1] = 1 lies past the top"]),
+    "past the top": ({"profile.positions": [-3.0, 1.0]}, "profile", ["positions[1] = 1 lies past the crest"]),
     "too large m": (
         {"erosion": {"law": "power", "m": 1e308}},
         "erosion",
@@ -363,7 +363,7 @@ BAD |= {
     "too much flux": (
         {"profile": {"kind": "steady", "flux": 1.0}},
         "profile",
-        ["flux = 1 is more than the law 'rational' erodes"],
+        ["flux = 1 is not a value of the law 'rational'"],
     ),
 }
 # for the command line: one of each kind that is made above, and those that a command could treat otherwise

@@ -1,4 +1,4 @@
-"""Pictures of runs and studies; the only room that knows matplotlib. Drawn off screen, without pyplot."""
+"""Pictures of runs and studies, drawn off screen without pyplot; the only package that imports matplotlib."""
 
 import logging
 import os
@@ -8,14 +8,14 @@ from contextlib import suppress
 
 def _import_matplotlib() -> None:
     """Import matplotlib without a line on stderr, also where MPLBACKEND names a backend that it does not have."""
-    logger = logging.getLogger("matplotlib")  # of an unknown key in a matplotlibrc, of a cache that cannot be written
+    logger = logging.getLogger("matplotlib")  # warns of unknown keys and unwritable caches
     level, backend = logger.level, os.environ.pop("MPLBACKEND", None)
     logger.setLevel(logging.CRITICAL)
     try:
         import matplotlib
 
         if backend is not None:
-            with suppress(ValueError):  # for the user's own pictures; those of this package need none
+            with suppress(ValueError):  # for pictures of the user; those of this package need no backend
                 matplotlib.rcParams["backend"] = backend
     finally:
         logger.setLevel(level)

@@ -1,4 +1,4 @@
-"""A run as a moving picture: its saved times, one after the other, and nothing between them."""
+"""Animations of a run: its saved times, one after the other."""
 
 from __future__ import annotations
 
@@ -25,23 +25,24 @@ from hjprofile.solvers.run import Array, Run
 
 DPI = 120  # 600 pixels wide
 FPS = 8.0
-SLOWEST, FASTEST = 0.01, 50.0  # pictures a second: a GIF holds their time as a whole number, of hundredths
-LAST = 1.5  # seconds for which the last picture stays
-COLOURS = 64  # of a GIF
+SLOWEST, FASTEST = 0.01, 50.0  # images per second; a GIF stores their duration in whole hundredths of a second
+LAST = 1.5  # duration of the last image in seconds
+COLOURS = 64  # in the palette of a GIF
 FORMS = ".gif", ".mp4"
 
 
 @styled
 def animation(run: Run, form: str, fps: float = FPS, progress: Callable[[float], None] = lambda _: None) -> bytes:
-    """The saved times as a ".gif" or an ".mp4", `fps` of them a second. `progress` is told how much is done.
+    """Return the saved times as a ".gif" or an ".mp4", `fps` of them per second. `progress` receives the finished
+    fraction.
 
-    Raises InputError for another form, for a rate that is not positive, and for MP4 where there is no ffmpeg.
+    Raise InputError for another form, for a rate out of range, and for MP4 without ffmpeg.
     """
     if form not in FORMS:
         raise InputError(f"an animation ends in {' or '.join(FORMS)}, not in {form!r}", "a-moving-picture")
     if not SLOWEST <= as_number(fps) <= FASTEST:
         raise InputError(
-            f"--fps {shown(fps)} must be a positive number of pictures a second, from {SLOWEST:g} to {FASTEST:g}",
+            f"--fps {shown(fps)} must be a positive number of images per second, from {SLOWEST:g} to {FASTEST:g}",
             "a-moving-picture",
         )
     ffmpeg = shutil.which("ffmpeg")
@@ -57,9 +58,9 @@ def animation(run: Run, form: str, fps: float = FPS, progress: Callable[[float],
 
 
 def frames(run: Run) -> Iterator[Array]:
-    """A picture of each saved time, shape (rows, columns, 3), whose rows and columns are even numbers.
+    """Yield an image of each saved time, shape (rows, columns, 3), with even numbers of rows and columns.
 
-    What does not move is drawn once.
+    Draw the artists that do not move only once.
     """
     figure, moving, show = _scene(run)
     for artist in moving:
@@ -78,15 +79,16 @@ def frames(run: Run) -> Iterator[Array]:
 
 @styled
 def _scene(run: Run) -> tuple[Figure, list[Any], Callable[[int], None]]:
-    """The figure; what moves in it, in the order in which it is drawn; and what makes it show a saved time."""
+    """Return the figure, its moving artists in drawing order, and the function that shows a saved time."""
     x, u, x_label, u_label = style.axes_units(run, run.units)
-    figure = style.sheet(run.title, style.about(run), 2, 3.9, right=0.16)
+    unit = [f"areas and supplied volume per width in {style.SURVEY}²"] if run.units else []
+    figure = style.sheet(run.title, style.about(run) + unit, 2, 3.9, right=0.16)
     figure.set_dpi(DPI)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
     shades = [PolyCollection([], fc=colour, alpha=0.4, lw=0) for colour in (ERODED, DEPOSITED)]
     for shade in shades:
         top.add_collection(shade, autolim=False)
-    for axes, heights in ((top, u), (bottom, run.q)):  # room for all times, so that nothing jumps
+    for axes, heights in ((top, u), (bottom, run.q)):  # limits for all times, so that the axes stay fixed
         axes.update_datalim([(x[0], heights.min()), (x[-1], heights.max())])
         axes.autoscale_view()
     start = top.plot(x, u[0], color=style.PALE, lw=0.8, ls=(0, (4, 2)), label="at the start")
@@ -114,19 +116,22 @@ def _scene(run: Run) -> tuple[Figure, list[Any], Callable[[int], None]]:
             trail.set_data(at[index <= i], heights[index <= i])
         dots[0].set_data(*style.dots_on(run, i, x, u[i]))
         areas = style.change_of(u[i], u[0], x)
-        words = f"poured in {amount(volume * run.time[i])} of {amount(volume * run.time[-1])}", "eroded", "deposited"
+        words = f"supplied {amount(volume * run.time[i])} of {amount(volume * run.time[-1])}", "eroded", "deposited"
         for text, word, area in zip(texts, words, ("", *map(amount, areas)), strict=True):
             text.set_text(f"{word} {area}")
 
+    for i in (run.time.size - 1, 0):  # the letters avoid both
+        show(i)
+    style.letter_panels([top, bottom])
     return figure, [*shades, *trails, profile, *dots, slope, *texts], show
 
 
 def _gif(images: list[Array], fps: float) -> bytes:
-    """All pictures in the same few colours, over and over."""
+    """Return a GIF in which all images share one palette, repeated without end."""
     some = np.concatenate([images[i] for i in style.spread(len(images), 3)])
     palette = Image.fromarray(some).quantize(COLOURS)
     colours = np.array(palette.getpalette()).reshape(-1, 3)
-    colours[colours.min(axis=1) > 248] = 255  # paper is white
+    colours[colours.min(axis=1) > 248] = 255  # the background is white
     palette.putpalette(colours.ravel().tolist())
     pictures = [Image.fromarray(image).quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     lasts = [*[1000.0 / fps] * (len(images) - 1), 1000.0 * max(LAST, 1.0 / fps)]
@@ -136,7 +141,7 @@ def _gif(images: list[Array], fps: float) -> bytes:
 
 
 def _mp4(images: list[Array], fps: float, ffmpeg: str) -> bytes:
-    """By ffmpeg, with the codec that it takes for MP4, in colours that every player knows."""
+    """Return an MP4 by ffmpeg, with its default codec, in a colour format that every player supports."""
     rows, columns, _ = images[0].shape
     shown = [*images, *[images[-1]] * round(LAST * fps)]
     with tempfile.TemporaryDirectory() as folder, undone(lambda: shutil.rmtree(folder)):
@@ -146,5 +151,5 @@ def _mp4(images: list[Array], fps: float, ffmpeg: str) -> bytes:
         done = subprocess.run(command, input=b"".join(map(np.ndarray.tobytes, shown)), capture_output=True)
         if done.returncode:
             reason = done.stderr.decode(errors="replace").strip().splitlines() or [f"exit code {done.returncode}"]
-            raise RunError(f"ffmpeg could not write the MP4: {reason[-1]}; a .gif needs no ffmpeg", "a-moving-picture")
+            raise RunError(f"ffmpeg could not write the MP4: {reason[-1]}; write a .gif instead", "a-moving-picture")
         return file.read_bytes()

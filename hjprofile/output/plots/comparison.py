@@ -1,4 +1,4 @@
-"""A picture of two runs beside each other."""
+"""The picture that compares two runs."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from hjprofile.solvers.run import Run
 from hjprofile.studies.accuracy import kink_distances, shared
 
 SHOWN = 4  # shared times at which profiles are drawn
-ROUNDING = 1e-12  # distances that are none
-LONGEST = 26  # characters of a name that a key has room for
+ROUNDING = 1e-12  # largest distance that counts as 0
+LONGEST = 26  # characters of a name that fit into a legend
 
 _LOOKS: tuple[dict[str, Any], ...] = (
     {"color": TWO_RUNS[0], "lw": 1.5},
     {"color": TWO_RUNS[1], "lw": 1.0, "ls": (0, (3, 2))},
 )
 _LARGEST: dict[str, Any] = {"color": INK, "lw": 0.9}
-_KINKS: dict[str, Any] = {"color": INK, "ls": "none", "marker": ".", "ms": 4.0, "label": "distance of kinks"}
+_KINKS: dict[str, Any] = {"color": INK, "ls": "none", "marker": ".", "ms": 4.0}
 
 
 def comparison_pictures(first: Run, second: Run, names: tuple[str, str]) -> dict[str, bytes | str]:
-    """Name -> file of `draw_comparison`, as PNG and as SVG."""
+    """Return name -> content of `draw_comparison`, as PNG and as SVG."""
     figure = draw_comparison(first, second, names)
     return {f"comparison.{form}": style.encode(figure, form) for form in ("png", "svg")}
 
 
 @styled
 def draw_comparison(first: Run, second: Run, names: tuple[str, str]) -> Figure:
-    """Both profiles at up to four shared times, their differences in u and q; through time the largest one of u, and
-    how far kinks are apart.
+    """Draw both profiles at up to four shared times, their differences in u and q, and the largest differences over
+    time.
 
-    In the survey's units if both runs have the same, else in exchange lengths. Raises InputError if the runs cannot be
+    Use the survey's units if both runs have the same, else exchange lengths. Raise InputError if the runs cannot be
     compared.
     """
     both = shared(first, second)
@@ -48,21 +48,21 @@ def draw_comparison(first: Run, second: Run, names: tuple[str, str]) -> Figure:
     x, _, label_of_x, label_of_height = style.axes_units(coarse, units)
     heights = units.height(both.height) if units else both.height
     length, x_cell = (units.length, units.x(both.x_cell)) if units else (1.0, both.x_cell)
-    of_height = "difference of height" if units else "difference of u"
+    of_height = style.of_height("difference of height", units) if units else "difference of u"
     saved = first.time[both.first]
     unit, label_of_time, numbers = style.axis_of_time(saved, units)
     times = unit * saved
     names = tuple(n if len(n) <= LONGEST else f"{n[: LONGEST - 1]}…" for n in names)  # type: ignore[assignment]
     lines = [f"{name}: {run.method}, {run.cells} cells" for name, run in zip(names, (first, second), strict=True)]
-    figure = style.sheet(" and ".join(dict.fromkeys((first.title, second.title))), lines, 2, 6.2)
+    figure = style.sheet(" and ".join(dict.fromkeys((first.title, second.title))), lines, 1, 7.0)
     frame = figure.subplotpars
     parts = figure.add_gridspec(
-        2, 1, height_ratios=[5.2, 1.2], hspace=0.26,
+        2, 1, height_ratios=[5.0, 2.0], hspace=0.18,
         left=frame.left, right=frame.right, bottom=frame.bottom, top=frame.top,
     )  # fmt: skip
     panels: Any = parts[0].subgridspec(3, 1, height_ratios=[3, 2, 2], hspace=0.1).subplots(sharex=True)
     top, middle, bottom = panels
-    last = figure.add_subplot(parts[1])
+    over_time: Any = parts[1].subgridspec(2, 1, hspace=0.14).subplots(sharex=True)
     norm = Normalize(*style.span(times))
     for i in style.spread(times.size, SHOWN):
         for height, look in zip(heights, _LOOKS, strict=True):
@@ -78,30 +78,31 @@ def draw_comparison(first: Run, second: Run, names: tuple[str, str]) -> Figure:
         for d in kink_distances(first.kinks_at(i), second.kinks_at(j))
         if d > ROUNDING
     ]
-    curve = _LARGEST | {"label": f"largest |{of_height}|"}
-    last.plot(times, np.where(apart, largest, np.nan), **curve)
-    last.plot(*np.array(distances).reshape(-1, 2).T, **_KINKS)
+    over_time[0].plot(times, np.where(apart, largest, np.nan), **_LARGEST)
+    over_time[1].plot(*np.array(distances).reshape(-1, 2).T, **_KINKS)
     runs = [Line2D([], [], **look, label=name) for name, look in zip(names, _LOOKS, strict=True)]
-    kinks = [Line2D([], [], **_KINKS)] if distances else []
-    style.legend_above(figure, [runs[0], Line2D([], [], **curve), runs[1], *kinks], rows=2)
+    style.legend_above(figure, runs)
     for axes, label in zip((top, middle, bottom), (label_of_height, of_height, "difference of q"), strict=True):
         axes.set_ylabel(label)
         if axes is not top:
             axes.axhline(0.0, color="0.6", lw=0.6, zorder=0)
     style.axis_of_x(bottom, x, label_of_x)
-    last.set_ylabel("distance")
-    last.set_xlabel(label_of_time)
-    last.xaxis.set_major_formatter(numbers)
-    last.set_xlim(*style.span(times))
-    _scale(last, [*largest[apart], *(d for _, d in distances)] or [1.0])
-    figure.align_ylabels([top, middle, bottom, last])
+    over_time[0].set_ylabel(style.of_height("sup|Δ height|", units) if units else "sup|u₁ - u₂|")
+    over_time[1].set_ylabel(f"kinks apart\n({style.SURVEY if units else 'exch. lengths'})")
+    over_time[1].set_xlabel(label_of_time)
+    over_time[1].xaxis.set_major_formatter(numbers)
+    over_time[1].set_xlim(*style.span(times))
+    _scale(over_time[0], [*largest[apart]] or [1.0])
+    _scale(over_time[1], [d for _, d in distances] or [1.0])
+    style.letter_panels([*panels, *over_time])
+    figure.align_ylabels([*panels, *over_time])
     bar = style.bar_of(figure, ScalarMappable(norm, TIMES), label_of_time, bottom=bottom.get_position().y0)
     bar.yaxis.set_major_formatter(numbers)
     return figure
 
 
 def _scale(axes: Axes, found: list[float]) -> None:
-    """Logarithmic where distances differ by a factor of ten, else from 0."""
+    """Set a logarithmic axis if distances differ by a factor of ten, else one from 0."""
     if max(found) > 10.0 * min(found):
         axes.set_yscale("log")
         style.plain_numbers(axes.yaxis)

@@ -1,4 +1,4 @@
-"""Pictures of a run: its profiles, q over the (x, t) plane, its factor."""
+"""Pictures of a run: its profiles, q over the (x, t) plane, its grain flux."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from hjprofile.output.plots.style import (
 from hjprofile.solvers.run import Array, Run
 from hjprofile.studies.tracing import kink_paths, slope_between, trace_back, traceable_law
 
-RASTER = 420, 640  # times and places at which the (x, t) plane is coloured
-TRACED = 14, 8  # characteristics that end at the last time, and at the top
-LEAST_CHANGE = 1e-9  # of the relief: what is less is rounding
+RASTER = 420, 640  # numbers of times and positions at which the (x, t) plane is coloured
+TRACED = 14, 8  # numbers of characteristics that end at the last time and at the crest
+LEAST_CHANGE = 1e-9  # relative to the relief; smaller changes are rounding
 
 
 def pictures(
@@ -44,10 +44,11 @@ def pictures(
 
 @styled
 def draw_profiles(run: Run) -> Figure:
-    """The profile through time with what was eroded and deposited, and its kinks; the change of height; q."""
+    """Draw the profiles with erosion, deposition and kinks; the change of height; q."""
     x, u, x_label, u_label = axes_units(run, run.units)
-    keys = _keys_of_change(u[-1], u[0], x) + [_KINK] * bool(run.kinks)
-    figure = style.sheet(run.title, style.about(run), bool(keys), 4.9)
+    keys = _keys_of_change(u[-1], u[0], x, f" {style.SURVEY}²" if run.units else "") + [_KINK] * bool(run.kinks)
+    rows = -(-len(keys) // (2 if run.units else 3))
+    figure = style.sheet(run.title, style.about(run), rows, 4.9)
     top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
     shown, colour = style.shown_times(run)
     _shade(top, x, u[0], u[-1])
@@ -61,11 +62,12 @@ def draw_profiles(run: Run) -> Figure:
             axes.plot(at, height, color=INK, lw=0.6, zorder=2.5)
         for i in shown:
             axes.plot(*style.dots_on(run, i, x, heights[i]), **DOT, ls="none", zorder=3)
-    style.legend_above(figure, keys)
+    style.legend_above(figure, keys, max(rows, 1))
     top.set_ylabel(u_label)
-    middle.set_ylabel("change of height")
+    middle.set_ylabel(style.of_height("change of height", run.units))
     style.axis_of_q(bottom, run)
     style.axis_of_x(bottom, x, x_label)
+    style.letter_panels([top, middle, bottom])
     figure.align_ylabels([top, middle, bottom])
     style.bar_of_times(figure, run)
     return figure
@@ -74,16 +76,16 @@ def draw_profiles(run: Run) -> Figure:
 _KINK = Line2D([], [], color=INK, lw=0.6, label="kink", **DOT)
 
 
-def _keys_of_change(u: Array, first: Array, x: Array) -> list[Any]:
-    """Keys of a legend for what was eroded and deposited."""
+def _keys_of_change(u: Array, first: Array, x: Array, unit: str) -> list[Any]:
+    """Return the keys of a legend for erosion and deposition."""
     eroded, deposited = change_of(u, first, x)
     least = LEAST_CHANGE * float(np.ptp(first) * np.ptp(x))
     parts = ((ERODED, "eroded", eroded), (DEPOSITED, "deposited", deposited))
-    return [Patch(fc=c, alpha=0.4, label=f"{name} (area {amount(a)})") for c, name, a in parts if a > least]
+    return [Patch(fc=c, alpha=0.4, label=f"{name} (area {amount(a)}{unit})") for c, name, a in parts if a > least]
 
 
 def _shade(axes: Axes, x: Array, before: Array | float, after: Array) -> list[Any]:
-    """What lies between two profiles: eroded where it sank, deposited where it rose."""
+    """Fill the area between two profiles by erosion and deposition."""
     return [
         axes.fill_between(x, before, after, where=where, interpolate=True, color=colour, alpha=0.4, lw=0, zorder=1)
         for where, colour in ((after < before, ERODED), (after > before, DEPOSITED))
@@ -92,10 +94,10 @@ def _shade(axes: Axes, x: Array, before: Array | float, after: Array) -> list[An
 
 @styled
 def draw_diagram(run: Run) -> Figure:
-    """q over the (x, t) plane with the paths of the kinks, their births, merges and exits, and characteristics.
+    """Draw q over the (x, t) plane with the paths of the kinks, their births, merges and exits, and characteristics.
 
-    Between saved times q is drawn as by `slope_between`. Characteristics are left out where K and q do not say how
-    they move (`traceable_law`).
+    `slope_between` gives q between saved times. Omit characteristics if K and q do not determine them
+    (`traceable_law`).
     """
     x, _, x_label, _ = axes_units(run, run.units)
     scale = run.units.x if run.units else np.asarray
@@ -135,6 +137,10 @@ def draw_diagram(run: Run) -> Figure:
         if marks:
             at = scale(np.array([e.x for e in marks]))
             axes.plot(at, [unit * e.time for e in marks], **marker, clip_on=False, zorder=3)
+    lost = [path for number, path in kink_paths(run).items() if number in unresolved(run)]
+    if lost:
+        ends = scale(np.array([path.x[-1] for path in lost])), [unit * path.time[-1] for path in lost]
+        axes.plot(*ends, **_UNRESOLVED, zorder=3)
     style.legend_above(figure, keys, rows)
     axes.set_ylabel(t_label)
     axes.yaxis.set_major_formatter(numbers)
@@ -150,29 +156,38 @@ _EVENTS: dict[str, dict[str, Any]] = {
     "merge": _MARK | {"marker": "^"},
     "exit": _MARK | {"marker": "s"},
 }
+_UNRESOLVED: dict[str, Any] = {"ls": "none", "marker": "x", "ms": 4.5, "mec": INK, "mew": 1.0}
 
 
 def _keys_of_diagram(run: Run, traced: bool) -> list[Any]:
-    """Keys of a legend for what is on the diagram."""
+    """Return the keys of a legend for the diagram."""
     lines = ((run.kinks, 1.3, "kink"), (run.vertical_steps, 2.6, "vertical step"), (traced, 0.45, "characteristic"))
     keys = [Line2D([], [], color=INK, lw=width, label=label) for there, width, label in lines if there]
     there = {e.event for e in run.events}
-    return keys + [Line2D([], [], label=k, **m) for k, m in _EVENTS.items() if k in there]
+    keys += [Line2D([], [], label=k, **m) for k, m in _EVENTS.items() if k in there]
+    return keys + [Line2D([], [], label="unresolved", **_UNRESOLVED)] * bool(unresolved(run))
+
+
+def unresolved(run: Run) -> set[int]:
+    """Return the numbers of the kinks that end before the last time without an event."""
+    ended = {e.kink for e in run.events if e.event != "birth"}
+    last = {number: path.time[-1] for number, path in kink_paths(run).items()}
+    return {number for number, time in last.items() if time < run.time[-1] and number not in ended}
 
 
 def _norm_of_q(run: Run) -> TwoSlopeNorm:
-    """One colour scale about q = 0 in which neither side drowns the other."""
+    """Return a colour scale about q = 0 that resolves both signs."""
     low, high = float(run.q.min()), float(run.q.max())
-    if run.vertical_steps:  # where the profile jumps q has no bound
+    if run.vertical_steps:  # q is unbounded at a jump of the profile
         high = max(float(np.quantile(run.q, 0.98)), 0.0)
     wide = max(-low, high)
-    if wide < 1e-9:  # a critical slope: rounding must not be drawn as if it were relief
+    if wide < 1e-9:  # a critical slope: rounding must not look like relief
         wide = 1.0
     return TwoSlopeNorm(0.0, min(low, -0.05 * wide), max(high, 0.05 * wide))
 
 
 def _ends_of_q(run: Run, norm: TwoSlopeNorm) -> tuple[float, float]:
-    """The part of the colour scale that a run needs: both sides of the critical slope, or one."""
+    """Return the range of the colour scale that a run needs: both sides of the critical slope, or one."""
     slight = 1e-3 * float(np.abs(run.q).max())
     steep, gentle = run.q.max() > slight, run.q.min() < -slight
     return (
@@ -182,9 +197,10 @@ def _ends_of_q(run: Run, norm: TwoSlopeNorm) -> tuple[float, float]:
 
 
 def _characteristics(run: Run) -> Array | None:
-    """Places at the saved times, shape (times, lines), of the characteristics that are drawn; None if none are.
+    """Return positions at the saved times, shape (times, lines), of the characteristics that are drawn; None for none.
 
-    Those that end evenly spread at the last time and at the top, and those that run into kinks from both sides.
+    Choose those that end evenly spread at the last time and at the crest, and those that run into kinks from both
+    sides.
     """
     law = traceable_law(run) if run.time.size > 1 else None
     if law is None:
@@ -192,7 +208,7 @@ def _characteristics(run: Run) -> Array | None:
     last, width = run.time.size - 1, float(np.ptp(run.x))
     ends = [(last, float(run.x[0] + width * (j + 0.5) / TRACED[0])) for j in range(TRACED[0])]
     ends += [(int(i), float(run.x[-1])) for i in style.spread(last + 1, TRACED[1])[1:]]
-    aside = 4.0 * width / run.cells  # a grid spreads a kink over some cells
+    aside = 4.0 * width / run.cells  # a method on a grid spreads a kink over some cells
     for path in kink_paths(run).values():
         lasts = (path.time[-1] - path.time[0]) / (run.time[-1] - run.time[0])
         index = np.flatnonzero(np.isin(run.time, path.time))
@@ -204,7 +220,7 @@ def _characteristics(run: Run) -> Array | None:
 
 @styled
 def draw_factor(run: Run) -> Figure:
-    """The factor K along the slope through time, with its corners at the kinks; logarithmic if it spans a decade."""
+    """Draw the grain flux K along the slope over time; logarithmic if it spans a decade."""
     x, _, x_label, _ = axes_units(run, run.units)
     figure = style.sheet(run.title, style.about(run), bool(run.kinks), 2.3)
     axes = figure.subplots()
@@ -216,7 +232,7 @@ def draw_factor(run: Run) -> Figure:
         axes.set_yscale("log")
         style.plain_numbers(axes.yaxis)
     axes.axhline(1.0, color="0.6", lw=0.6, zorder=0)
-    axes.set_ylabel(_FACTORS[next((key for key in _FACTORS if key in run.case), "")])
+    axes.set_ylabel(_FLUXES["coefficient" if "coefficient" in run.case else ""])
     style.axis_of_x(axes, x, x_label)
     marks = Line2D([], [], ls="none", label="kink", **DOT)
     style.legend_above(figure, [marks] * bool(run.kinks))
@@ -224,4 +240,5 @@ def draw_factor(run: Run) -> Figure:
     return figure
 
 
-_FACTORS: dict[str, str] = {"coefficient": "coefficient k", "layer": "flux of grains K", "": "factor K"}
+_FLUX = "grain flux K\nrelative to the supply"
+_FLUXES: dict[str, str] = {"coefficient": "coefficient k", "": _FLUX}

@@ -1,4 +1,4 @@
-"""Pictures of studies: accuracy against seconds, stability, dependence, a fit."""
+"""Pictures of studies: error against run time, stability, dependence, a fit."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from itertools import cycle
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter, NullFormatter
 
@@ -17,8 +18,8 @@ from hjprofile.studies.chart import Point, Reference, pareto
 from hjprofile.studies.dependence import Distance, largest_distances, observed_constant
 from hjprofile.studies.stability import FAILS, HOLDS, LOSES, OSCILLATES, Trial
 
-# Okabe and Ito's colours can be told apart without green and red; a form's carried-over fluxes share its colour and are
-# drawn lightly. In the order of the table of methods, closing again where that is longer.
+# Okabe and Ito's colours, distinguishable without green and red. The fluxes that a form takes over share its colour and
+# are drawn lightly. The order is that of the table of methods; the palette repeats if that is longer.
 _PALETTE = (
     ("#999999", "o"), ("#E69F00", "o"), ("#56B4E9", "o"), ("#CC79A7", "o"), ("#009E73", "s"), ("#000000", "D"),
     ("#0072B2", "s"), ("#D55E00", "^"), ("#B8A800", "*"),
@@ -29,20 +30,24 @@ _LOOKS = dict(zip(_DRAWN, cycle(_PALETTE), strict=False))
 
 @style.defaults
 def chart_picture(charts: Mapping[str, tuple[Sequence[Point], Reference]]) -> bytes:
-    """PNG of `draw_chart`."""
+    """Return the PNG of `draw_chart`."""
     return png(draw_chart(charts))
 
 
 @style.defaults
 def draw_chart(charts: Mapping[str, tuple[Sequence[Point], Reference]]) -> Figure:
-    """Error against seconds, a row for each case: sup|u| on the left, ∫|q| on the right with its Pareto front."""
+    """Draw error against run time, a row for each case: sup|u| on the left, ∫|q| on the right with its Pareto front."""
     figure = new_figure(10.0, 4.6 * len(charts))
     rows = figure.subplots(len(charts), 2, squeeze=False)
+    letters = iter("abcdefghijklmnopqrstuvwxyz" * len(charts))
     for (case, (points, reference)), row in zip(charts.items(), rows, strict=True):
         for axes, error, label in zip(
             row,
             ("error_u_sup", "error_q_l1"),
-            ("sup |u - exact u|", "∫ |q - exact q| dx, the largest of five times"),
+            (
+                "$\\Vert u - u_{exact}\\Vert_\\infty$, largest of five times",
+                "$\\Vert q - q_{exact}\\Vert_1$, largest of five times",
+            ),
             strict=True,
         ):
             for method in dict.fromkeys(p.method for p in points):
@@ -50,25 +55,26 @@ def draw_chart(charts: Mapping[str, tuple[Sequence[Point], Reference]]) -> Figur
                 carried = METHODS[method].carries
                 colour, marker = _LOOKS[carried or method]
                 light = {"alpha": 0.35, "mfc": "none", "ls": ":"} if carried else {}
-                name = "the same, conservative-..." if carried else method
+                name = "the same flux, conservative-..." if carried else method
                 known = name in axes.get_legend_handles_labels()[1]
                 (line,) = axes.loglog(*np.array(mine).T, color=colour, marker=marker, ms=4, lw=1.0, **light)
                 line.set_label("_" if known else name)
-            axes.set_xlabel("seconds of time stepping")
+            axes.set_xlabel("run time of the time stepping (s)")
             axes.set_ylabel(label)
             axes.grid(alpha=0.25, lw=0.5)
             least = reference.error if error == "error_u_sup" else reference.error_q
             if least > 0.0:
-                axes.axhline(least, color="0.5", lw=0.8, ls="--")
+                axes.axhline(least, color="0.5", lw=0.8, ls="--", label="error of the reference")
         front = pareto(points)
         row[1].step(
             [p.seconds for p in front], [max(p.error_q_l1, 1e-16) for p in front],
             where="post", color="0.25", lw=4.0, alpha=0.25, marker="o", ms=9, label="Pareto front",
         )  # fmt: skip
-        row[0].set_title(case, loc="left", fontweight="bold", parse_math=False)
-        against = f"against {reference.name}"
+        row[0].set_title(f"({next(letters)}) {case}", loc="left", fontweight="bold", parse_math=False)
+        row[1].set_title(f"({next(letters)})", loc="left", fontweight="bold")
+        against = f"reference: {reference.name}"
         if reference.error > 0.0:
-            against += f", u to {reference.error:.0e}, q to {reference.error_q:.0e} (dashed)"
+            against += f", error of u {reference.error:.0e}, of q {reference.error_q:.0e}"
         row[1].set_title(against, loc="right", fontsize=8, color="0.35")
     handles, labels = rows[0][1].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right upper", fontsize=8, frameon=False)
@@ -79,23 +85,25 @@ _OUTCOMES = {HOLDS: ("#0072B2", "o"), LOSES: ("#E69F00", "s"), OSCILLATES: ("#CC
 _AXES = {  # parameter -> title, logarithmic
     "cfl": ("CFL number Δt max(K f')/Δx", False),
     "viscosity": ("viscosity α / max(K f') at CFL number ...", False),
-    "refresh": ("steps that share a K", True),
+    "refresh": ("time steps with one K", True),
     "reconstruction": ("edge values (K and fluxes upwind)", False),
-    "least 1 + q": ("least 1 + q, in a hollow", True),
+    "least 1 + q": ("inf (1 + q), in a hollow", True),
     "largest |ln K|": ("largest |ln K| = |∫ f dx|", True),
-    "left end": ("left end of the grid", False),
+    "left end": ("left end of the grid (exchange lengths)", False),
 }
 
 
 @style.defaults
 def stability_picture(trials: Sequence[Trial]) -> bytes:
-    """PNG of `draw_stability`."""
+    """Return the PNG of `draw_stability`."""
     return png(draw_stability(trials))
 
 
 @style.defaults
 def draw_stability(trials: Sequence[Trial]) -> Figure:
-    """A panel for each parameter, a row for each method, a mark for each outcome; theory's limit as a line."""
+    """Draw a panel for each parameter, a row for each method, a symbol for each outcome, and the theoretical limit as a
+    line.
+    """
     panels: dict[str, list[Trial]] = {}
     for trial in trials:
         panels.setdefault("viscosity" if np.isfinite(trial.cfl) else trial.parameter, []).append(trial)
@@ -108,6 +116,7 @@ def draw_stability(trials: Sequence[Trial]) -> Figure:
         [["cfl", "viscosity"], ["least 1 + q", "largest |ln K|"], ["refresh", "reconstruction"], ["left end", "key"]],
         height_ratios=[7, 7, 2.2, 2.2],
     )
+    letters = dict(zip((name for name in places if name in panels), "abcdefg", strict=False))
     for parameter, mine in panels.items():
         axes, rows = places[parameter], list(dict.fromkeys(map(row_of, mine)))
         title, logarithmic = _AXES[parameter]
@@ -134,7 +143,7 @@ def draw_stability(trials: Sequence[Trial]) -> Figure:
             axes.set_xlim(-0.5, len(words) - 0.5)
         axes.set_yticks(range(len(rows)), rows)
         axes.set_ylim(len(rows) - 0.4, -0.6)
-        axes.set_title(title, fontsize=10, loc="left")
+        axes.set_title(f"({letters[parameter]}) {title}", fontsize=10, loc="left")
         axes.grid(axis="x", alpha=0.25, lw=0.5)
     key = places["key"]
     key.axis("off")
@@ -146,64 +155,42 @@ def draw_stability(trials: Sequence[Trial]) -> Figure:
     }
     for outcome, (colour, marker) in _OUTCOMES.items():
         key.plot([], [], marker, color=colour, ms=6, mew=0, label=names[outcome])
-    key.plot([], [], color="0.3", lw=1.2, label="limit by theory, for any data")
+    key.plot([], [], color="0.3", lw=1.2, label="proved limit, for any data")
     key.plot([], [], color="0.3", lw=1.2, ls=":", label="α = Δx/Δt")
     key.legend(loc="center", fontsize=9, frameon=False)
-    figure.suptitle(
-        f"Where methods hold and where they fail: {trials[0].case}", fontsize=12, x=0.01, ha="left", parse_math=False
-    )
+    figure.suptitle(f"Limits of stability: {trials[0].case}", fontsize=12, x=0.01, ha="left", parse_math=False)
     return figure
 
 
 @style.defaults
 def dependence_picture(distances: Sequence[Distance]) -> bytes:
-    """PNG of `draw_dependence`."""
+    """Return the PNG of `draw_dependence`."""
     return png(draw_dependence(distances))
 
 
-_SHADES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9")  # of sizes
+_SHADES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9")  # of the sizes of a disturbance
 
 
 @style.defaults
 def draw_dependence(distances: Sequence[Distance]) -> Figure:
-    """A panel for each study: distances over time, and for what converges the last ones over size."""
+    """Draw a panel for each study: distances over time, or the largest distances against the size of a disturbance."""
     studies: dict[str, list[Distance]] = {}
     for d in distances:
         studies.setdefault(d.study, []).append(d)
     figure = new_figure(10.0, 7.6)
     axes = dict(zip(("data", "zero", "coefficient", "refresh"), figure.subplots(2, 2).flat, strict=True))
-    for study in ("data", "zero"):
-        mine, panel = studies[study], axes[study]
-        sizes = np.array([[d.member, d.size] for d in studies["data"]])
-        rank = {m: int(np.log10(sizes[sizes[:, 0] == m, 1][0])) for m in np.unique(sizes[:, 0])}
-        shades = dict(zip(sorted(set(rank.values())), _SHADES, strict=False))
-        for member in dict.fromkeys(d.member for d in mine):
-            t, y = np.array([(d.time, d.distance / d.size) for d in mine if d.member == member]).T
-            panel.plot(t, np.where(y > 1e-3, y, np.nan), color=shades[rank[member]], lw=0.9, alpha=0.7)
-        panel.set_xlabel("t")
-        panel.grid(alpha=0.25, lw=0.5)
-    L = observed_constant(studies["data"])
-    t = np.linspace(0.0, max(d.time for d in distances), 200)
-    axes["data"].set_yscale("log")
-    axes["data"].yaxis.set_major_formatter(LogFormatter(minor_thresholds=(2.0, 0.5)))
-    axes["data"].yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2.0, 0.5)))
-    low, high = axes["data"].get_ylim()
-    axes["data"].plot(t, np.exp(L * t), color="0.3", lw=1.2, ls="--", label=f"$e^{{Lt}}$, L = {L:.3g}")
-    axes["data"].set_ylim(low, 1.5 * high)
-    axes["data"].set_title("two slopes: ‖q - q̃‖₁ / ‖q - q̃‖₁(0)", loc="left", fontsize=10)
-    for rank_, shade in shades.items():
-        axes["data"].plot([], [], color=shade, label=f"‖q - q̃‖₁(0) about {10.0**rank_:g}")
-    axes["zero"].axhline(1.0, color="0.3", lw=1.2, ls="--", label="L = 0")
-    axes["zero"].set_title("a slope and the critical one: ‖q‖₁ / ‖q‖₁(0)", loc="left", fontsize=10)
+    _draw_growth(axes, studies, max(d.time for d in distances))
     names = {
-        "coefficient": ("coefficients k and k(1 + δ ...): largest ‖q - q̃‖₁", "δ"),
-        "refresh": ("K frozen over fractional steps: mean ‖q - q̃‖₁, kinks", "fractional step Δt"),
+        "coefficient": ("(c) coefficients k and k(1 + δ ...)", "relative disturbance δ", "largest ‖q - q̃‖₁"),
+        "refresh": ("(d) K frozen over fractional steps", "fractional step Δt (supplied mass)", "mean ‖q - q̃‖₁"),
     }
-    for study, (title, label) in names.items():
+    for study, (title, label, distance) in names.items():
         panel = axes[study]
         panel.set_title(title, loc="left", fontsize=10)
         if study not in studies:
-            panel.text(0.5, 0.5, "none: the coefficient does not change", ha="center", transform=panel.transAxes)
+            panel.text(
+                0.5, 0.5, "not applicable: the coefficient is constant in time", ha="center", transform=panel.transAxes
+            )
             panel.set_axis_off()
             continue
         size, largest = np.array(list(largest_distances(distances, study).values())).T
@@ -212,11 +199,15 @@ def draw_dependence(distances: Sequence[Distance]) -> Figure:
             panel.loglog(np.unique(size)[::-1], each, ".-", color=_SHADES[0], ms=5, lw=0.8, alpha=0.8)
         if study == "refresh":
             kinks = np.array(list(largest_distances(distances, "refresh kinks").values()))
-            panel.loglog(*kinks.T, ".-", color=_SHADES[1], ms=5, lw=0.8, label="distance of kinks")
+            if kinks.size:
+                other = panel.twinx()
+                other.loglog(*kinks.T, ".-", color=_SHADES[1], ms=5, lw=0.8)
+                other.set_ylabel("mean distance of kinks (exchange lengths)", color=_SHADES[1])
         panel.loglog(size, largest[least].mean() * size / size.min(), color="0.3", lw=1.2, ls="--", label="first order")
         panel.set_xticks(np.unique(size), [f"{value:.3g}" for value in np.unique(size)])
         panel.xaxis.set_minor_formatter(NullFormatter())
         panel.set_xlabel(label)
+        panel.set_ylabel(distance, color=_SHADES[0])
         panel.grid(alpha=0.25, lw=0.5)
     for panel in axes.values():
         if panel.lines:
@@ -225,14 +216,43 @@ def draw_dependence(distances: Sequence[Distance]) -> Figure:
     return figure
 
 
+def _draw_growth(axes: Mapping[str, Axes], studies: Mapping[str, Sequence[Distance]], end: float) -> None:
+    """Draw the distances of pairs of slopes, and of slopes and the neutral slope, over time."""
+    for study in ("data", "zero"):
+        mine, panel = studies[study], axes[study]
+        sizes = np.array([[d.member, d.size] for d in studies["data"]])
+        rank = {m: int(np.log10(sizes[sizes[:, 0] == m, 1][0])) for m in np.unique(sizes[:, 0])}
+        shades = dict(zip(sorted(set(rank.values())), _SHADES, strict=False))
+        for member in dict.fromkeys(d.member for d in mine):
+            t, y = np.array([(d.time, d.distance / d.size) for d in mine if d.member == member]).T
+            panel.plot(t, np.where(y > 1e-3, y, np.nan), color=shades[rank[member]], lw=0.9, alpha=0.7)
+        panel.set_xlabel("supplied mass t")
+        panel.grid(alpha=0.25, lw=0.5)
+    L = observed_constant(studies["data"])
+    t = np.linspace(0.0, end, 200)
+    axes["data"].set_yscale("log")
+    axes["data"].yaxis.set_major_formatter(LogFormatter(minor_thresholds=(2.0, 0.5)))
+    axes["data"].yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2.0, 0.5)))
+    low, high = axes["data"].get_ylim()
+    axes["data"].plot(t, np.exp(L * t), color="0.3", lw=1.2, ls="--", label=f"$e^{{Lt}}$, L = {L:.3g}")
+    axes["data"].set_ylim(low, 1.5 * high)
+    axes["data"].set_title("(a) two slopes", loc="left", fontsize=10)
+    for rank_, shade in shades.items():
+        axes["data"].plot([], [], color=shade, label=f"‖q - q̃‖₁(0) about {10.0**rank_:g}")
+    axes["data"].set_ylabel("‖q - q̃‖₁(t) / ‖q - q̃‖₁(0)")
+    axes["zero"].set_ylabel("‖q‖₁(t) / ‖q‖₁(0)")
+    axes["zero"].axhline(1.0, color="0.3", lw=1.2, ls="--", label="L = 0")
+    axes["zero"].set_title("(b) a slope and the neutral slope (colours as in a)", loc="left", fontsize=10)
+
+
 def fit_picture(found: Calibration) -> bytes | str:
-    """PNG of `draw_fit`."""
+    """Return the PNG of `draw_fit`."""
     return style.encode(draw_fit(found), "png")
 
 
 @style.styled
 def draw_fit(found: Calibration) -> Figure:
-    """Both surveys with the fitted profile; below it how far the slope has moved; below that what the fit leaves."""
+    """Draw both surveys with the fitted profile, the change of height, and the residuals."""
 
     def written(value: float) -> str:
         return style.amount(value) if value >= 1000.0 else f"{value:.4g}"
@@ -253,15 +273,17 @@ def draw_fit(found: Calibration) -> Figure:
     middle.plot(x, after - before, color=DEPOSITED, lw=1.1)
     middle.plot(found.x, found.measured - start, **points)
     wide = 1.96 * found.sigma
-    keys.append(bottom.axhspan(-wide, wide, color="0.9", lw=0, label="±1.96 sigma"))
+    keys.append(bottom.axhspan(-wide, wide, color="0.9", lw=0, label="±1.96 σ"))
     bottom.plot(found.x, found.measured - found.modelled, **points)
     for axes in (middle, bottom):
         axes.axhline(0.0, color="0.6", lw=0.6, zorder=0)
     style.legend_above(figure, keys)
     survey = found.case["profile"]["kind"] == "survey"
-    top.set_ylabel("height (survey)" if survey else "height u")
-    middle.set_ylabel("change of height")
-    bottom.set_ylabel("measured - fitted")
-    style.axis_of_x(bottom, x, "x (units of the survey)" if survey else "x (in exchange lengths)")
+    unit = f" ({style.SURVEY})" if survey else ""
+    top.set_ylabel(f"height{unit or ' u'}")
+    for axes, words in ((middle, "change of height"), (bottom, "measured - fitted")):
+        axes.set_ylabel(words + unit.replace(" (", "\n("))
+    style.axis_of_x(bottom, x, f"x{unit or ' (exchange lengths)'}")
+    style.letter_panels([top, middle, bottom])
     figure.align_ylabels([top, middle, bottom])
     return figure

@@ -103,7 +103,7 @@ class MovingLabels(Solution):
             self._step(target)
             idle = idle + 1 if self.now.t == before else 0
             if idle > MOST_EVENTS:
-                raise Lost(Stop(Reason.LABELS_LOST, f"more than {MOST_EVENTS} events fall on one moment"))
+                raise Lost(Stop(Reason.LABELS_LOST, f"more than {MOST_EVENTS} events occur at one time"))
         if self.flat:
             self.now.t = target
 
@@ -112,7 +112,7 @@ class MovingLabels(Solution):
         now, panels = self.now, self.now.panels
         self.patience -= TRY + LABEL * panels.r.size
         if self.patience < 0.0:
-            raise Lost(Stop(Reason.TOO_LONG, "it would take too long"))
+            raise Lost(Stop(Reason.TOO_LONG, "the run would take too long"))
         shocks, new = panels.labels(), np.empty(2 * panels.r.size + 2)
         error, self.found = kernels.step(
             panels.y, now.clock(now.t), h, now.origin, tableau(), self.medium, shocks, self.stages, new
@@ -168,10 +168,12 @@ class MovingLabels(Solution):
     def _why(self) -> Stop:
         if self.found > 0:
             kink = self.now.panels.number[self.found - 1]
-            return Stop(Reason.LABELS_LOST, f"the labels of kink {kink} cannot be determined")
+            return Stop(
+                Reason.LABELS_LOST, f"the characteristics on either side of kink {kink} cannot be distinguished"
+            )
         if self.found < 0:
-            return Stop(Reason.LABELS_LOST, "the labels fold where no kink is known")
-        return Stop(Reason.TOO_SMALL_STEPS, "steps become too small")
+            return Stop(Reason.LABELS_LOST, "characteristics cross where no kink is known")
+        return Stop(Reason.TOO_SMALL_STEPS, "the time steps become too small")
 
     def _rough(self, panels: Panels) -> list[int]:
         """Panels whose last Chebyshev coefficients are no rounding."""
@@ -249,7 +251,7 @@ class MovingLabels(Solution):
         else:
             panels = events.passed(panels, kind, i)
             if np.any(np.diff(panels.mesh.first)[1:] == 0):  # only the first segment may be empty: q = 0
-                raise Lost(Stop(Reason.LABELS_LOST, "the labels between two kinks run out"))
+                raise Lost(Stop(Reason.LABELS_LOST, "no characteristics are left between two kinks"))
         self.now = replace(self.now, panels=panels)
 
     def _birth(self, p: int) -> None:
@@ -287,7 +289,7 @@ class MovingLabels(Solution):
         else:
             a, bend, far = -derivative(rate, cut, 1, 0), derivative(panels.X, cut, 3, 0) / 6.0, 1.0
         if not (a > 0.0 and bend > 0.0 and far > 0.0):
-            born = "a kink would be born at x = {x:.6g} in no ordinary way"
+            born = "a kink would be born at x = {x:.6g} where the theory of its birth does not apply"
             raise Lost(Stop(Reason.LABELS_LOST, born, values={"x": Place(x)}))
         if at_left or at_right:  # X = -a τ δ + bend δ²/2 on the side that folds, X_ξ = far on the other (theory, §5)
             near = [1.5 * a / bend, 1.0], [0.375 * a * a / (bend * far), 2.0]

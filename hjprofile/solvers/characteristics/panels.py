@@ -319,8 +319,8 @@ def _smooth(problem: Problem, x: float, end: float, ends: tuple, sample: Sample,
             raise Stopped(
                 Stop(
                     Reason.NOT_SMOOTH,
-                    "the profile is not smooth near x = {x:.6g}, and says of no corner there: characteristics cannot "
-                    "follow it",
+                    "the profile is not smooth near x = {x:.6g} and declares no corner there, so characteristics "
+                    "cannot represent it",
                     values={"x": Place(a[worst, 0])},
                 )
             )

@@ -295,8 +295,8 @@ def _folded(problem: Problem, cuts: Array) -> Array:
         raise Stopped(
             Stop(
                 Reason.NOT_RESOLVED,
-                "front tracking cannot start: ln K changes by {folds:.3g} along the slope, as q is too near -1 over "
-                "too long a way, and {most:g} is the most it can follow",
+                "front tracking cannot start: ln K changes by {folds:.3g} along the slope, but at most {most:g} "
+                "is possible, because q is too near -1 over too long a distance",
                 f"use the method {ROBUST_METHOD}",
                 {"folds": folds.sum(), "most": FOLDS},
             )

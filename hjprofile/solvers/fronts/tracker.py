@@ -64,8 +64,8 @@ class Tracker(Solution):
             raise Lost(
                 Stop(
                     Reason.NOT_RESOLVED,
-                    "stopped before t = {t:.6g}: front tracking loses the slope near x = {x:.6g}, where q is too near "
-                    "-1 for so few fronts, or K too large to separate events",
+                    "stopped before t = {t:.6g}: front tracking fails near x = {x:.6g}, where q is too near "
+                    "-1 for this number of fronts, or K is too large to separate events",
                     f"use the method auto with a tolerance, or the method {ROBUST_METHOD}",
                     {"t": Time(self.t), "x": Place(grid.nodes[fault])},
                 )

@@ -322,7 +322,7 @@ def _too_small_a_step(run: March) -> Stop:
     fastest = int(np.argmax(K * run.problem.law.derivative(scheme.q)))
     return Stop(
         Reason.TOO_SMALL_STEPS,
-        "stopped at t = {t:.6g}: the time step {dt:.3g} fell below {floor:g} of the run, since K f' = {speed:.3g} at "
+        "stopped at t = {t:.6g}: the time step {dt:.3g} fell below {floor:g} of the run, because K f' = {speed:.3g} at "
         "x = {x:.6g} (K = {K:.3g}, q = {q:.6g}) and cfl = {cfl:g}",
         f"use {'a larger cfl, ' if run.cfl < SMALL_CFL else ''}fewer cells or an earlier end",
         {"t": Time(run.pace.t), "dt": run.batch.dt, "floor": STEP_FLOOR, "speed": run.pace.speed,
@@ -331,10 +331,10 @@ def _too_small_a_step(run: March) -> Stop:
 
 
 def _breakdown(broken: Breakdown, run: March) -> Stop:
-    what = "q = {q:.6g} reached -1" if np.isfinite(broken.q) else "q stopped being finite"
+    what = "q = {q:.6g} reached -1" if np.isfinite(broken.q) else "q is no longer finite"
     return Stop(
         Reason.NOT_ADMISSIBLE,
-        "stopped at t = {t:.6g} near x = {x:.6g}: " + what + " in a step of {dt:.3g} (cfl = {cfl:g}, K = {K:.3g} "
+        "stopped at t = {t:.6g} near x = {x:.6g}: " + what + " in a time step of {dt:.3g} (cfl = {cfl:g}, K = {K:.3g} "
         "there)",
         "set cfl to 1 or less" if run.cfl > 1 else f"use a monotone method ({ROBUST_METHOD}), or a smaller cfl",
         {"t": Time(run.pace.t), "x": Place(run.grid.centres[broken.cell]), "q": broken.q, "dt": run.batch.dt,

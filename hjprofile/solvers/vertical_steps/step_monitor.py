@@ -132,8 +132,8 @@ def with_dates(
     if not dropped:
         return list(events), ()
     caution = (
-        f"{' and '.join(dropped)} are not reported, because {grid.cells} cells do not date them: a vertical step is "
-        f"found from a height of {least_height(grid.dx, law):.2g} on; use the method fronts for dates"
+        f"{' and '.join(dropped)} are not reported, because {grid.cells} cells do not determine their times: "
+        f"a vertical step is found from a height of {least_height(grid.dx, law):.2g} on; the method fronts gives times"
     )
     return [e for e in events if e.event not in doubtful], (caution,)
 
