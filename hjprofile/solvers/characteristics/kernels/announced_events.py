@@ -1,4 +1,4 @@
-"""What announces the events of characteristics: folds of X, and distances that shrink to 0 (theory, §5).
+"""Signs that announce the events of characteristics: folds of X, and distances that shrink to 0 (theory, §5).
 
 The conventions are those of `kernels.labels`.
 """
@@ -10,12 +10,12 @@ import numpy as np
 from hjprofile.solvers.characteristics.kernels.labels import after_start, before_end, dot, weights
 from hjprofile.solvers.kernels import compiled
 
-STEEP = 0.5  # least X_ξ at the points of a panel, as a part of the largest, above which it has no fold between them
-NEAR = 0.02  # X_ξ below which its least is found by Newton's method
+STEEP = 0.5  # ratio of smallest to largest X_ξ at the points of a panel above which there is no fold between them
+NEAR = 0.02  # X_ξ below which its minimum is found by Newton's method
 
 
 class Fine(NamedTuple):
-    """Where a fold is searched for.
+    """The fine positions at which a fold is searched for.
 
     Attributes:
         s: positions in a panel, shape (fine,).
@@ -30,11 +30,11 @@ class Fine(NamedTuple):
 
 
 class Signs(NamedTuple):
-    """Values that turn negative at an event, and what they are made of.
+    """Values that become negative at an event, and the numbers from which they are computed.
 
     Attributes:
-        low, high: local range of each panel in which labels are alive, empty (high <= low) where none is.
-        fold, place: the least X_ξ on the living part of each panel, and its local position.
+        low, high: local range of each panel in which labels are alive, empty (high <= low) if there are none.
+        fold, place: the smallest X_ξ on the living part of each panel, and its local position.
         merge: width of the living labels between shocks k - 1 and k; infinite for k = 0.
         left, right: distances of the labels of shock k from a joint across which fields are not analytic.
         ends: -x of the last shock, infinite without shocks, and the distance of the label at x = 0 from such a joint.
@@ -71,7 +71,7 @@ def living(mesh, off, off_top, low, high):
 
 @compiled
 def to_joint(mesh, p, last, towards):
-    """Width of the panels from p on up to the first joint across which fields are not analytic."""
+    """Return the width of the panels from p on up to the first joint across which fields are not analytic."""
     total = 2.0 * mesh.half[p]
     while p != last and mesh.joined[p if towards < 0 else p + 1]:
         p += towards
@@ -81,7 +81,7 @@ def to_joint(mesh, p, last, towards):
 
 @compiled
 def fold_of(p, X, mesh, rule, fine, low, high, w):
-    """The least X_ξ on the living part of panel p, and its local position."""
+    """Return the smallest X_ξ on the living part of panel p, and its local position."""
     least = most = 0.0
     for i in range(w.size):
         slope = dot(X[p], rule.D, i)

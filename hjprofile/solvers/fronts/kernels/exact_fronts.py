@@ -1,4 +1,4 @@
-"""Front tracking to rounding: adaptive steps of order 8, each merge and exit found in its own time.
+"""Exact front tracking: adaptive steps of order 8, with each merge and exit located in time.
 
 The conventions are those of `front_state`.
 """
@@ -13,17 +13,17 @@ from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.dormand_prince import STAGES, Tableau, state_at, step_error
 from hjprofile.solvers.kernels.journal import CREST_LOWERING, GROWTH, STEPS
 
-TOGETHER = 1e-13  # fronts no further apart are at one place
-AT_END = 1e-11  # ... and at the end of an integration, where rounding can put an event just behind it
-ALIKE = 1e-10  # relative difference of speeds below which fronts at one place stay there
-IDLE = 1000  # steps in a row that bring nothing before the integration gives up
+TOGETHER = 1e-13  # fronts no further apart count as coincident
+AT_END = 1e-11  # the same at the end of an integration, where rounding can delay an event beyond it
+ALIKE = 1e-10  # relative difference of speeds below which coincident fronts stay together
+IDLE = 1000  # consecutive steps without progress in time after which the integration fails
 
 
 class ExactControl(NamedTuple):
     """Control of the integration.
 
     Attributes:
-        strong: jump above which a front that has merged is a kink.
+        strong: jump above which a merged front is a kink.
         tolerance: largest error of one step.
         tableau: the coefficients of a step.
     """
@@ -35,9 +35,9 @@ class ExactControl(NamedTuple):
 
 @compiled
 def rates_of(y, jump, n, medium, sides, rate):
-    """Speeds of n fronts, then K_left - 1 and F(0): the state y is their places and the integrals of these two.
+    """Fill the speeds of n fronts, then K_left - 1 and F(0): the state y holds positions and the two integrals.
 
-    The last piece is continued to x = 0 even where a trial step takes the last front beyond: so the rate is smooth.
+    The last piece is continued to x = 0 even if a trial step moves the last front beyond x = 0, so the rate is smooth.
     """
     speeds(y, jump, n, n - 1, medium, sides, rate)
     rate[n] = sides.K[0] - 1.0
@@ -46,7 +46,7 @@ def rates_of(y, jump, n, medium, sides, rate):
 
 @compiled
 def step(y, rates, dt, jump, n, medium, sides, tableau, new):
-    """Fills `new` by one step from y, of which rates[0] is the rate."""
+    """Fill `new` by one step from y, whose rate is rates[0]."""
     for stage in range(1, STAGES):
         state_at(stage, y, dt, rates, tableau, new)
         rates_of(new, jump, n, medium, sides, rates[stage])
@@ -55,9 +55,9 @@ def step(y, rates, dt, jump, n, medium, sides, tableau, new):
 
 @compiled
 def least_gap(y, before, n):
-    """The least distance of two neighbours or of the last front from x = 0, and where (n - 1: at x = 0).
+    """Return the smallest distance of two neighbours, or of the last front from x = 0, and its index (n - 1: at x = 0).
 
-    Negative where an event has passed. Neighbours that were together `before` are fans that open: no event.
+    It is negative after an event. Neighbours that coincided `before` are opening fans and not counted.
     """
     least, at = -y[n - 1], n - 1
     for j in range(n - 1):
@@ -68,13 +68,13 @@ def least_gap(y, before, n):
 
 @compiled
 def fan_fails_to_open(y, before, n):
-    """Whether neighbours that were together have changed places."""
+    """Return True if neighbours that coincided have changed their order."""
     return np.any((np.diff(before[:n]) <= TOGETHER) & (np.diff(y[:n]) < -0.1 * TOGETHER))
 
 
 @compiled
 def first_crossing(y, new, rates, dt, n):
-    """The fraction of a step at which, by cubic interpolation, the first event falls; `rates` are those at its ends."""
+    """Return the fraction of a step at the first event, by cubic interpolation from the `rates` at both ends."""
     first = 1.0
     for j in range(n):
         if j < n - 1:
@@ -99,9 +99,9 @@ def first_crossing(y, new, rates, dt, n):
 
 @compiled
 def narrowed(low, g_low, high, g_high, side, theta, gap):
-    """Replace the end of a bracket on whose side `gap`, the value at theta, lies; `side` is the end replaced last.
+    """Replace the end of a bracket on the side of the value `gap` at theta; `side` is the end that was replaced last.
 
-    The value at the other end is halved where that end stays for a second time (Illinois' rule).
+    The value at the other end is halved if that end stays for a second time (Illinois rule).
     """
     if gap > 0.0:
         return theta, gap, high, 0.5 * g_high if side == 1 else g_high, 1
@@ -110,9 +110,9 @@ def narrowed(low, g_low, high, g_high, side, theta, gap):
 
 @compiled
 def first_event(y, rates, dt, jump, n, medium, sides, tableau, new):
-    """From `new`, a step beyond an event, back to the first one: how long a step that takes, and which pair has met.
+    """Set `new`, a step beyond an event, to the state at the first event; return the length of that step and the pair.
 
-    By Illinois' rule of false position on the fraction of the step.
+    The fraction of the step is found by the Illinois variant of false position.
     """
     low, high, side = 0.0, 1.0, 0
     g_low, g_high = least_gap(y, y, n)[0], least_gap(new, y, n)[0]
@@ -132,17 +132,17 @@ def first_event(y, rates, dt, jump, n, medium, sides, tableau, new):
 
 @compiled
 def advance_exactly(fronts, n, t, end, control, medium, work, journal):
-    """As `moving_fronts.advance`, by adaptive steps of order 8, and each merge and exit found in its own time.
+    """Advance fronts as `moving_fronts.advance` does, by adaptive steps of order 8 that locate each merge and exit.
 
-    The root of an event is found on the fraction of the step; every evaluation is a step, so an event has full order.
-    Return n and whether `end` is reached: not where many steps in a row bring nothing.
+    The root of an event is found in the fraction of the step. Each evaluation is a step, so an event has full order.
+    Return n, and True if `end` is reached: False after many consecutive steps without progress.
     """
     x, jump, sides, rates, totals = fronts.x, fronts.jump, work.sides, work.rate, journal.totals
     tableau, stalled = control.tableau, 0
     dt = 0.01 * (end - t)
     met = -1  # the pair (met, met + 1) of an event
     while n > 0:
-        # fronts at one place that do not part are one front: after an event, and in the data
+        # coincident fronts that do not separate are one front: after an event, and in the data
         rates_of(x, jump, n, medium, sides, rates[0])
         if put_together(x, rates[0], n, met, TOGETHER if t < end else AT_END, t >= end):
             sweep(x, jump, n, n - 1, medium, sides)
@@ -185,9 +185,9 @@ def advance_exactly(fronts, n, t, end, control, medium, work, journal):
 
 @compiled
 def put_together(x, speed, n, met, near, at_end):
-    """Put fronts that are one out of order, to be merged; return whether there are any, or one that leaves.
+    """Put fronts that have become one out of order, to be merged; return True if there are any, or if one leaves.
 
-    They are the pair (met, met + 1), and neighbours no further apart than `near` that do not part.
+    These are the pair (met, met + 1), and neighbours that are no further apart than `near` and do not separate.
     """
     together = False
     if at_end and x[n - 1] >= -near:

@@ -1,4 +1,4 @@
-"""Time steps of fronts, in the conventions of `front_state`."""
+"""Time stepping of fronts, in the conventions of `front_state`."""
 
 import math
 from typing import NamedTuple
@@ -11,23 +11,23 @@ from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.journal import CREST_LOWERING, GROWTH, STEPS
 from hjprofile.solvers.kernels.law import law_q_f
 
-STEP_FLOOR = 1e-7  # of the way to a saved time: more steps than it allows, of 0.3 ms each, would take an hour, ...
-REJECTED = 1.2  # times the allowed error, from which on a step is repeated: 4 let a narrow feature's exit pass
-LONGER = 2.0  # times the step before, at most
-CROSSED = 0.35  # times the estimate by fronts that have crossed: measured, it is too large
-MOST_FOLDS = 2.0  # lengths 1/|f|, over which K changes by a factor e, that a front crosses in a step
-PATIENCE = 10_000  # ... but the first ones can be much shorter than those after them
+STEP_FLOOR = 1e-7  # of the time to the next saved time; shorter steps, of 0.3 ms each, would take an hour
+REJECTED = 1.2  # relative to the allowed error; above it a step is repeated; 4 missed the exit of a narrow feature
+LONGER = 2.0  # largest ratio of a step to the previous one
+CROSSED = 0.35  # factor of the estimate by fronts that have crossed; measured: the estimate is too large
+MOST_FOLDS = 2.0  # lengths 1/|f|, over which K changes by a factor e, that a front may cross in a step
+PATIENCE = 10_000  # steps below STEP_FLOOR before a run fails: the first ones can be much shorter than later ones
 
 
 class Control(NamedTuple):
     """Control of the time step.
 
     Attributes:
-        strong: jump above which a front that has merged is a kink.
-        allowed: error of W that a unit of time may add, by the motion between events and by fronts that merge late.
+        strong: jump above which a merged front is a kink.
+        allowed: error of W per unit of time that the motion between events and late merges may add.
         longest: longest step.
-        saved: longest time for which unused error is kept for later steps.
-        step: the next step and the time for which error is kept, shape (2,).
+        saved: longest time for which unused error is saved for later steps.
+        step: the next step and the time for which error is saved, shape (2,).
     """
 
     strong: float
@@ -38,11 +38,11 @@ class Control(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Arrays of a time step.
+    """Work arrays of a time step.
 
     Attributes:
-        sides, stack: of the fronts where they are, and of merges.
-        rate: speeds at the stages of a step and at its end, shape (stages + 1, fronts); of exact fronts more columns.
+        sides, stack: the values at the fronts, and the stack of merges.
+        rate: speeds at the stages of a step and at its end, shape (stages + 1, fronts); more columns for exact fronts.
         trial, new: positions at a stage and at the end of a step.
         eroded: the largest K |f| on the left of each front.
     """
@@ -57,10 +57,11 @@ class Workspace(NamedTuple):
 
 @compiled
 def advance(fronts, n, t, end, control, medium, work, journal):
-    """Classical Runge-Kutta steps to `end` for the first n fronts, merging after each step and dropping those at x > 0.
+    """Advance the first n fronts to `end` by classical Runge-Kutta steps; merge after each and remove fronts at x > 0.
 
-    Steps are as long as `control` allows: their error is `motion_error` and, of fronts that have crossed,
-    `crossing_error`. Return n and whether `end` is reached: not where PATIENCE steps fall below STEP_FLOOR of the way.
+    `control` determines the length of a step from its error, which is the sum of `motion_error`, `crossing_error` of
+    fronts that have crossed, and `exit_error`. Return n, and True if `end` is reached: False after MAX_SHORT_STEPS
+    steps below STEP_FLOOR of the time.
     """
     x, jump, sides, rate, new = fronts.x, fronts.jump, work.sides, work.rate, work.new
     law, r0 = medium.law, medium.r0
@@ -73,7 +74,7 @@ def advance(fronts, n, t, end, control, medium, work, journal):
         most_eroded = fit_folds(n, control, law, work)
         while True:
             dt = control.step[0]
-            if not dt > floor:  # K is without bound below a slope with q near -1
+            if not dt > floor:  # K is unbounded below a slope with q near -1
                 short += 1
                 if short > PATIENCE or not dt > 0.0:
                     return n, False
@@ -102,7 +103,7 @@ def advance(fronts, n, t, end, control, medium, work, journal):
 
 @compiled
 def fit_folds(n, control, law, work):
-    """Shorten the next step until no front crosses more than MOST_FOLDS; fill `eroded` and return its largest."""
+    """Shorten the next step until no front crosses more than MOST_FOLDS; fill `eroded` and return its largest value."""
     r_right, K, speed, eroded = work.sides.r_right, work.sides.K, work.rate[0], work.eroded
     folds = most_eroded = 0.0
     for j in range(n):
@@ -117,7 +118,7 @@ def fit_folds(n, control, law, work):
 def runge_kutta(x, jump, n, dt, start, medium, work):
     """Fill the positions after a step and the rates of its stages; return six times the means of K_left - 1 and F(0).
 
-    `start` holds these two at x, and rate[0] the speeds there. The sides are afterwards those of the end of the step.
+    `start` holds these two at x, and rate[0] the speeds there. On return the sides are those at the end of the step.
     """
     sides, rate, trial, new = work.sides, work.rate, work.trial, work.new
     growth, crest_lowering = start
@@ -137,9 +138,9 @@ def runge_kutta(x, jump, n, dt, start, medium, work):
 
 @compiled
 def accepted(control, dt, error):
-    """Return whether a step has no more than the allowed error; set the length of the next one, or of its repetition.
+    """Return True if the error of a step is allowed; set the length of the next step, or of the repetition of this one.
 
-    Error that is allowed and not used is kept for later steps.
+    Unused error is saved for later steps.
     """
     ratio = error / (control.allowed * (dt + control.step[1]))
     if ratio <= REJECTED:
@@ -155,9 +156,9 @@ def accepted(control, dt, error):
 
 @compiled
 def motion_error(jump, n, last, after):
-    """Six times the error of W, per unit of time, of a Runge-Kutta step: the largest sum of jump times displacement.
+    """Return six times the error of W per unit of time of a step: the largest sum of jump times displacement.
 
-    With the speeds after the step in the place of those of its last stage it is of third order.
+    With the speeds after the step instead of those of the last Runge-Kutta stage it is of third order.
     """
     total = largest = 0.0
     for j in range(n):
@@ -169,9 +170,9 @@ def motion_error(jump, n, last, after):
 
 @compiled
 def exit_error(new, speed, n, sides, law):
-    """The error of ln K, by the largest of the fronts that leave within a step, divided by the square of the step.
+    """Return the error of ln K, divided by the square of the step, of the worst front that leaves within a step.
 
-    ∂_t ln K jumps by the front's speed times its jump of f, at a time that the stages of the step do not see.
+    ∂_t ln K jumps by the front's speed times its jump of f, at a time between the stages of the step.
     """
     r_left, r_right = sides.r_left, sides.r_right
     largest = 0.0
@@ -185,10 +186,10 @@ def exit_error(new, speed, n, sides, law):
 
 @compiled
 def crossing_error(x, jump, n, sides, eroded, law):
-    """The error of W, per unit of time, by fronts that have crossed and are not merged yet.
+    """Return the error of W per unit of time by fronts that have crossed and are not merged yet.
 
-    Two that overlap by a length d change ln K on their left by their jumps' product times d, and are displaced by as
-    much times K f between them. `eroded` holds the largest K |f| left of each front.
+    Two fronts that overlap by a length d change ln K on their left by the product of their jumps times d. They are
+    displaced by the same amount times K f between them. `eroded` holds the largest K |f| left of each front.
     """
     r_left, r_right, K = sides.r_left, sides.r_right, sides.K
     total = 0.0

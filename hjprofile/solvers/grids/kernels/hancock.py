@@ -1,4 +1,4 @@
-"""MUSCL-Hancock: a second-order step for q and K in one sweep, many time levels at once (`kernels.wavefront`)."""
+"""MUSCL-Hancock sweep: second-order steps for q and K, many time levels at once (`kernels.wavefront`)."""
 
 import math
 
@@ -12,14 +12,17 @@ from hjprofile.solvers.kernels import by_type, vectorised
 
 @vectorised
 def fine_growth(z):
-    """The same to fourth order, for the second-order scheme: where grains settle fast, z³ is not small beside it."""
+    """Return e^z to fourth order, for the second-order scheme: z³ is not small where deposition is fast."""
     z = max(z, -1.0)
     return 1.0 + z * (1.0 + z * (0.5 + z * (1.0 / 6.0 + z * (1.0 / 24.0))))
 
 
 @by_type
 def across(K, z, factor, k):
-    """From K right of a cell, f dx in it and k, read on its left: K in its middle, and its rise to the left by that."""
+    """Return K at the midpoint of a cell and its relative increase to the left.
+
+    K is given on the right of the cell, with z = f dx and with k, the prescribed K on the left of the cell.
+    """
     if factor.instance_class is Nonlocal:
         return lambda K, z, factor, k: (K * (1.0 + 0.5 * z), z)
 
@@ -32,19 +35,19 @@ def across(K, z, factor, k):
 
 @vectorised
 def limited(back, ahead):
-    """Half the rise over a cell from its neighbours' rises: the central one, kept between theirs (MC)."""
+    """Return half the rise over a cell by the MC limiter: the central rise, bounded by the neighbours' rises."""
     half = min(min(abs(back), abs(ahead)), 0.25 * abs(back + ahead))
     return math.copysign(half, ahead) if back * ahead > 0.0 else 0.0
 
 
 @vectorised
 def hancock_pass(q, dx, dt, levels, inflow, law, factor):
-    """Advances cell means q (from left to right) by `levels` <= LANES MUSCL-Hancock steps, in place.
+    """Advance cell means q (from left to right) by `levels` <= LANES MUSCL-Hancock steps, in place.
 
-    A step takes q and K half a step ahead by q_t = -K_x f - K f' q_x and the flux from there, with K by the midpoint
-    rule, or as it is given for that half step. At either end of the grid slopes are one-sided; the flux is `inflow` at
-    the left end. No edge value lies further than FLOOR_SHARE of 1 + q from its mean, which keeps q > -1. Returns the
-    largest K f' of all steps, ∫(K(left) - 1) dt and ∫F(right) dt.
+    A step advances q and K by half a time step by q_t = -K_x f - K f' q_x, and evaluates the flux there. K follows from
+    the midpoint rule, or is prescribed for that half step. At either end of the grid slopes are one-sided; the flux is
+    `inflow` at the left end. No edge value differs from its mean by more than FLOOR_SHARE of 1 + q, which guarantees q
+    > -1. Return the largest K f' of all steps, ∫(K(left) - 1) dt and ∫F(right) dt.
     """
     n = q.size
     ratio = dt / dx
@@ -65,10 +68,10 @@ def hancock_pass(q, dx, dt, levels, inflow, law, factor):
             K[start] = factor_at(K[start], factor, k_left[start])
             ahead[start] = 2.0 * here[start] - row[start + 1]
         first, beyond = LANES - 1 - (step - n + 1) // 3, LANES - 1 - (step - n) // 3
-        if step >= n - 1 and (step - n + 1) % 3 == 0:  # at the first cell
+        if step >= n - 1 and (step - n + 1) % 3 == 0:  # the sweep has reached the first cell
             row[first + 1] = 2.0 * here[first] - ahead[first]
         finishes = step >= n and (step - n) % 3 == 0
-        if finishes:  # one cell further, where the first cell's new value is due
+        if finishes:  # one cell further, the new value of the first cell is complete
             value = ahead[beyond] - ratio * (flux[beyond] - inflow)
             grown += dt * (K[beyond] - 1.0)
             speed_met = max(speed_met, fastest[beyond])

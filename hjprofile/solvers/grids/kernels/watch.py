@@ -1,4 +1,4 @@
-"""What is read off a state to judge it: sums and extremes, ln K, and what a step with K frozen makes of it."""
+"""Loops for the monitors: sums and extremes of a state, ln K, and one step with frozen K."""
 
 import numpy as np
 
@@ -9,10 +9,10 @@ from hjprofile.solvers.kernels import vectorised
 
 @vectorised
 def survey(q, dx, law, ln_K):
-    """Fills ln K at the nodes by the midpoint rule; returns what bounds are told from.
+    """Fill ln K at the nodes by the midpoint rule; return the quantities from which the bounds are computed.
 
     These are dx Σq, dx Σ|q|, min q, max q, Σ|differences of q|, min and max ln K, dx Σ K f² and Σ|differences of K f²|.
-    Extremes of q are taken with 0. A q that is not above -1 makes dx Σ K f² infinite or not a number.
+    The extremes of q include 0. If some q is not above -1, dx Σ K f² is infinite or NaN.
     """
     n = q.size
     value, row, f, df, swell = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
@@ -22,7 +22,7 @@ def survey(q, dx, law, ln_K):
     ln_K[n] = exponent = 0.0
     K = 1.0
     beside, swell_beside, first = q[n - 1], 0.0, True
-    for stop in range(n, 0, -LANES):  # blocks of cells from right to left, and so are the cells in the lanes
+    for stop in range(n, 0, -LANES):  # blocks of cells, and the cells within a block, run from right to left
         width = min(LANES, stop)
         if width == LANES:
             for l in range(LANES):
@@ -61,7 +61,7 @@ def survey(q, dx, law, ln_K):
         for l in range(1, LANES):
             rises[l] += abs(value[l] - value[l - 1])
             swells[l] += abs(swell[l] - swell[l - 1])
-        if width < LANES:  # a step to the cells that are not there
+        if width < LANES:  # subtract the difference to the padding
             rises[width] -= abs(value[width - 1])
             swells[width] -= swell[width - 1]
         beside, swell_beside = value[width - 1], swell[width - 1]
@@ -73,9 +73,9 @@ def survey(q, dx, law, ln_K):
 
 @vectorised
 def frozen_step(q, K, dx, dt, law, flux):
-    """One step of a first-order scheme from cell means q, with K given at the nodes and nothing flowing in.
+    """Return the cell means after one first-order step from q, and F at the nodes, with K given and no inflow.
 
-    Returns the new means and F at the nodes. The flux must not have a viscosity of its own at each node.
+    K is given at the nodes. The flux must not have a local viscosity at each node.
     """
     n = q.size
     after, F = np.empty(n), np.zeros(n + 1)
@@ -104,7 +104,7 @@ def frozen_step(q, K, dx, dt, law, flux):
 
 @vectorised
 def fastest_nearby(q, K, law):
-    """The largest K f' with K of a node and f' of any of the two cells on either side of it."""
+    """Return the largest K f', with K of a node and f' of the two cells on either side of it."""
     n = q.size
     f, df = np.empty(n), np.empty(n)
     values(q, law, f, df)
