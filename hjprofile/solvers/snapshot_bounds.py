@@ -27,7 +27,7 @@ class SnapshotBounds:
         self.norm, self.floor, self.cancelled = np.inf, 0.0, 0.0
         self.eroded_volume = self.toe_outflow = self.budget_error = 0.0
 
-    def observe(self, t: float, W: np.ndarray, volume: float, growth: float, crest_lowering: float) -> None:
+    def observe(self, t: float, W: np.ndarray, volume: float, toe_gain: float, crest_lowering: float) -> None:
         mass = np.diff(W)
         norm, least = float(np.abs(mass).sum()), float(mass.min() / self.grid.dx)
         # in a cell where q changes its sign the parts of its mass cancel
@@ -35,8 +35,8 @@ class SnapshotBounds:
         self.cancelled = max(self.cancelled, 2.0 * float((np.abs(mass[:-1]) + np.abs(mass[1:]))[turns].sum()))
         if np.isinf(self.norm):
             self.norm, self.floor = norm, min(least, self.least, 0.0)
-        self.eroded_volume, self.toe_outflow = self.first - volume, t + growth
-        off = abs(self.eroded_volume - growth)
+        self.eroded_volume, self.toe_outflow = self.first - volume, t + toe_gain
+        off = abs(self.eroded_volume - toe_gain)
         self.budget_error = max(self.budget_error, off)
         for name, excess in (
             ("mass_budget", float(W[-1]) - self.mass + crest_lowering),

@@ -11,7 +11,7 @@ import numpy as np
 from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid
-from hjprofile.solvers.kernels.journal import CREST_LOWERING, GROWTH
+from hjprofile.solvers.kernels.journal import CREST_LOWERING, TOE_GAIN
 from hjprofile.solvers.run import Array, Event, KinkRecord, Run, VerticalStep, in_order
 from hjprofile.solvers.snapshot_bounds import SnapshotBounds
 from hjprofile.solvers.stop import Stop, Stopped
@@ -28,7 +28,7 @@ class Solution:
         moment: accuracy of the times of events.
         events: births, merges, exits and blow-ups so far, in any order.
         steps: number of time steps so far.
-        totals: ∫(K_left - 1) dt and ∫F(0) dt so far, by GROWTH and CREST_LOWERING.
+        totals: ∫(K_left - 1) dt and ∫F(0) dt so far, indexed by TOE_GAIN and CREST_LOWERING.
     """
 
     moment: float
@@ -124,7 +124,7 @@ def walk(
             found.stop = solution.stop(target, lost)
             break
         if judged is None or target in judged:
-            watch.observe(target, W, solution.volume(), solution.totals[GROWTH], solution.totals[CREST_LOWERING])
+            watch.observe(target, W, solution.volume(), solution.totals[TOE_GAIN], solution.totals[CREST_LOWERING])
         if witness and target in witness.times:
             witness.W.append(solution.read(witness.nodes)[0])
         kinks = solution.kinks() if target < problem.end else solution.finish()

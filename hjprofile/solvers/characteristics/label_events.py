@@ -27,7 +27,7 @@ def signs(panels: Panels) -> Signs:
     """Return what announces events."""
     size, shocks = len(panels.r), panels.shocks
     found = Signs(*(np.empty(n) for n in (size, size, size, size, shocks, shocks, shocks, 2)))
-    find_signs(panels.X, panels.mesh, panels.off, panels.off_top, RULE, FINE, found)
+    find_signs(panels.X, panels.mesh, panels.off, panels.off_crest, RULE, FINE, found)
     return found
 
 
@@ -76,7 +76,7 @@ def exited(panels: Panels) -> Panels:
     rest = panels.kept(np.arange(len(panels.r)) < panels.mesh.first[-2])
     return replace(
         rest, mesh=rest.mesh._replace(first=rest.mesh.first[:-1]), off=panels.off[:-1], power=panels.power[:-1],
-        number=panels.number[:-1], birth=panels.birth[:-1], tau=panels.tau[:-1], off_top=panels.off[-1:, 0].copy(),
+        number=panels.number[:-1], birth=panels.birth[:-1], tau=panels.tau[:-1], off_crest=panels.off[-1:, 0].copy(),
     )  # fmt: skip
 
 
@@ -85,23 +85,23 @@ def passed(panels: Panels, kind: str, i: int) -> Panels:
 
     The first segment, or all, may be empty after it: left of the last label q = 0.
     """
-    mesh, off, off_top, power = panels.mesh, panels.off.copy(), panels.off_top.copy(), panels.power.copy()
+    mesh, off, off_crest, power = panels.mesh, panels.off.copy(), panels.off_crest.copy(), panels.power.copy()
     keep = np.ones(len(panels.r), dtype=bool)
     if kind == "right":
         p = kernels.after_start(off[i, 1], i + 1, mesh)[0]
         keep[mesh.first[i + 1] : p + 1] = False
         off[i, 1] = 0.0
     else:
-        k, reach = (i, off[i, 0]) if kind == "left" else (panels.shocks, off_top[0])
+        k, reach = (i, off[i, 0]) if kind == "left" else (panels.shocks, off_crest[0])
         p = kernels.before_end(reach, k, mesh)[0]
         keep[p : mesh.first[k + 1]] = False
         if kind == "left":
             off[i, 0] = 0.0
         else:
-            off_top[0] = 0.0
+            off_crest[0] = 0.0
     if kind != "top":
         power[i] = 0.0
-    return replace(panels.kept(keep), off=off, power=power, off_top=off_top)
+    return replace(panels.kept(keep), off=off, power=power, off_crest=off_crest)
 
 
 def with_joint_at(panels: Panels, p: int, s: float) -> tuple[Panels, int]:

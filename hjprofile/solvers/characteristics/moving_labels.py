@@ -207,7 +207,7 @@ class MovingLabels(Solution):
         self.found = kernels.rates(panels.y, self.now.t, self.medium, shocks, self.stages, np.nan, out)
         if self.found:
             raise Lost(self._why())
-        panels.off[:], panels.tau[:], panels.off_top[:] = shocks.off, shocks.tau, shocks.top
+        panels.off[:], panels.tau[:], panels.off_crest[:] = shocks.off, shocks.tau, shocks.crest
         return out
 
     def kinks(self) -> list[KinkRecord]:

@@ -76,7 +76,7 @@ class Panels:
         mesh: what is frozen.
         off, birth, power, tau: of the shocks, (shocks, 2) and (shocks,), see `rates`.
         number: of the shocks, for life.
-        off_top: distance of the label at x = 0 from the last joint, shape (1,).
+        off_crest: distance of the label at x = 0 from the last joint, shape (1,).
         totals: ∫(K_left - 1) dt and ∫F(0) dt.
     """
 
@@ -88,7 +88,7 @@ class Panels:
     power: Array
     tau: Array
     number: list[int]
-    off_top: Array
+    off_crest: Array
     totals: Array
 
     @property
@@ -101,14 +101,14 @@ class Panels:
 
     def labels(self) -> Shocks:
         """Return the labels of shocks, with copies of the arrays that a step changes."""
-        return Shocks(self.off.copy(), self.birth, self.power, self.tau.copy(), self.off_top.copy())
+        return Shocks(self.off.copy(), self.birth, self.power, self.tau.copy(), self.off_crest.copy())
 
     def at(self, y: Array, shocks: Shocks) -> Panels:
         """Return the same panels with another state."""
         size, shape = self.r.size, self.r.shape
         return replace(
             self, r=y[:size].reshape(shape), X=y[size : 2 * size].reshape(shape), totals=y[2 * size :],
-            off=shocks.off, off_top=shocks.top, tau=shocks.tau,
+            off=shocks.off, off_crest=shocks.crest, tau=shocks.tau,
         )  # fmt: skip
 
     def segment(self, p: int) -> int:
@@ -118,7 +118,7 @@ class Panels:
     def living(self) -> tuple[Array, Array]:
         """Return the local range of each panel in which labels are alive, empty (high <= low) where none is."""
         low, high = np.empty(len(self.r)), np.empty(len(self.r))
-        living(self.mesh, self.off, self.off_top, low, high)
+        living(self.mesh, self.off, self.off_crest, low, high)
         return low, high
 
     def volume(self) -> float:
@@ -181,7 +181,7 @@ class Panels:
             return self._cropped(low, high)
         m = self.mesh
         keep = np.ones(len(self.r), dtype=bool)
-        off, power, off_top = self.off.copy(), self.power.copy(), self.off_top.copy()
+        off, power, off_crest = self.off.copy(), self.power.copy(), self.off_crest.copy()
         for k in range(self.shocks):
             p = after_start(off[k, 1], k + 1, m)[0]
             gone = slice(m.first[k + 1], p)
@@ -195,12 +195,12 @@ class Panels:
                 p = max(p, m.first[k + 1] + (m.first[k + 1] - 1 - last))
             if p > m.first[k + 1]:
                 power[k] = 0.0
-        last = before_end(off_top[0], self.shocks, m)[0]
+        last = before_end(off_crest[0], self.shocks, m)[0]
         keep[last + 1 :] = False
-        off_top[0] -= 2.0 * m.half[last + 1 :].sum()
+        off_crest[0] -= 2.0 * m.half[last + 1 :].sum()
         if keep.all():
             return self._cropped(low, high)
-        rest = replace(self.kept(keep), off=np.maximum(off, 0.0), power=power, off_top=off_top)
+        rest = replace(self.kept(keep), off=np.maximum(off, 0.0), power=power, off_crest=off_crest)
         return rest._cropped(*rest.living()) if len(rest.r) else rest
 
     def _cropped(self, low: Array, high: Array) -> Panels:
@@ -215,7 +215,7 @@ class Panels:
         b = np.where((high < -MOST_DEAD) & back, high + MARGIN, 1.0)
         if np.all((a == -1.0) & (b == 1.0)):
             return self
-        off, power, off_top = self.off.copy(), self.power.copy(), self.off_top.copy()
+        off, power, off_crest = self.off.copy(), self.power.copy(), self.off_crest.copy()
         half, first = self.mesh.half, self.mesh.first
         for k in range(self.shocks):
             after, before = first[k + 1], first[k + 1] - 1
@@ -223,9 +223,9 @@ class Panels:
             off[k, 0] -= (1.0 - b[before]) * half[before] if first[k] < first[k + 1] else 0.0
             if a[after] > -1.0 or (first[k] < first[k + 1] and b[before] < 1.0):
                 power[k] = 0.0
-        off_top[0] -= (1.0 - b[-1]) * half[-1]
+        off_crest[0] -= (1.0 - b[-1]) * half[-1]
         rest = self.resampled([(p, float(a[p]), float(b[p])) for p in range(len(self.r))], first)
-        return replace(rest, off=off, power=power, off_top=off_top)
+        return replace(rest, off=off, power=power, off_crest=off_crest)
 
 
 def cut_into_panels(problem: Problem, left: float, tail: float = TAIL_OF_DATA) -> Panels:

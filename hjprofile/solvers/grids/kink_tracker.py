@@ -10,7 +10,7 @@ import numpy as np
 
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
-from hjprofile.solvers.grids.kernels.find_kinks import WIDEST, find_kinks
+from hjprofile.solvers.grids.kernels.find_kinks import WIDEST_SHOCK, find_kinks
 from hjprofile.solvers.run import Array, Event, KinkRecord, State, in_order
 
 Speed = Callable[["Sighting"], float]
@@ -227,7 +227,7 @@ def _expected(path: _Path, t: float, dx: float, speed: Speed) -> tuple[float, fl
 
 def _is_lost(path: _Path, t: float, dx: float, speed: Speed) -> bool:
     """Out of sight for longer than two shocks need to become one."""
-    return abs(speed(path.sightings[-1])) * (t - path.times[-1]) > 2 * WIDEST * dx
+    return abs(speed(path.sightings[-1])) * (t - path.times[-1]) > 2 * WIDEST_SHOCK * dx
 
 
 def _rightful(claimants: list[_Path], dx: float) -> list[_Path]:
@@ -260,10 +260,10 @@ def _untangle(claims: dict[int, list[_Path]], sightings: list[Sighting]) -> None
 def _leaves(path: _Path, t: float, dx: float, speed: Speed) -> bool:
     """Ends a path that went out of sight when it was about to reach x = 0."""
     x, velocity = path.sightings[-1].x, speed(path.sightings[-1])
-    if velocity <= 0 or x < -3 * WIDEST * dx:
+    if velocity <= 0 or x < -3 * WIDEST_SHOCK * dx:
         return False
     arrival = path.times[-1] - x / velocity
-    if arrival > t + 2 * WIDEST * dx / velocity:
+    if arrival > t + 2 * WIDEST_SHOCK * dx / velocity:
         return False
     path.end = Event(arrival, "exit", 0, None, 0.0)
     return True
@@ -286,7 +286,7 @@ def _merge(loser: _Path, winner: _Path, dx: float, speed: Speed) -> None:
     """Ends `loser` where it meets `winner`: extrapolated, for shocks that touch are seen as one too early."""
     common = sorted(set(loser.times) & set(winner.times))[-MEMORY:]
     xs = [np.array([p.sightings[p.times.index(t)].x for t in common]) for p in (loser, winner)]
-    if abs(xs[1][-1] - xs[0][-1]) > WIDEST * dx:  # they did not touch: one of them was too weak or wide to be seen
+    if abs(xs[1][-1] - xs[0][-1]) > WIDEST_SHOCK * dx:  # they did not touch: one was too weak or too wide
         return
     near = np.abs(xs[0] - xs[0][-1]) <= NEARBY * dx
     xs = [x[near] for x in xs]
@@ -313,7 +313,7 @@ def _merge_lost(paths: list[_Path], end: float, dx: float, speed: Speed) -> None
         other = beside[0]
         gap = other.sightings[other.times.index(t)].x - x
         closing = (speed(lost.sightings[-1]) - speed(other.sightings[other.times.index(t)])) * np.sign(gap)
-        if abs(gap) > WIDEST * dx or closing <= 0:
+        if abs(gap) > WIDEST_SHOCK * dx or closing <= 0:
             continue
         if lost.seniority(t) < other.seniority(t):  # it takes over the rest of the other's path
             k = other.times.index(t) + 1
@@ -333,11 +333,11 @@ def _settle(path: _Path, end: float, dx: float) -> None:
     event, other = path.end, path.into
     assert event and other
     # kinks that meet at one point within the resolution of the grid all merge into the one that lives on
-    while other.end and other.into and (other.end.time < event.time or abs(other.end.x - event.x) <= WIDEST * dx):
+    while other.end and other.into and (other.end.time < event.time or abs(other.end.x - event.x) <= WIDEST_SHOCK * dx):
         other = other.into
     seen = np.interp(event.time, other.times, [s.x for s in other.sightings])
     gone = other.end.time if other.end else other.times[-1]
-    if gone < min(event.time, end) or abs(seen - event.x) > WIDEST * dx:
+    if gone < min(event.time, end) or abs(seen - event.x) > WIDEST_SHOCK * dx:
         path.end = path.into = None
     else:
         path.into = other
@@ -380,7 +380,7 @@ def _measured_speed(path: _Path, i: int, turns: Sequence[float], dx: float) -> f
     """
     t, x = np.array(path.times), np.array([s.x for s in path.sightings])
     side = np.searchsorted(turns, t, side="right")
-    whole = x <= -WIDEST * dx
+    whole = x <= -WIDEST_SHOCK * dx
     if not whole[i]:
         return float("nan")
     t, x, far = (a[whole & (side == side[i])] for a in (t - t[i], x, np.abs(x - x[i])))

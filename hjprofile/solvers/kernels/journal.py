@@ -9,7 +9,7 @@ from hjprofile.solvers.kernels import compiled
 # Kinds of events, and their names. At a blow-up a kink becomes a vertical step.
 BIRTH, MERGE, EXIT, BLOW_UP = range(4)
 EVENTS = ("birth", "merge", "exit", "blow-up")
-GROWTH, CREST_LOWERING = 0, 1  # entries of `totals`
+TOE_GAIN, CREST_LOWERING = 0, 1  # entries of `totals`
 STEPS, HIGHEST_LABEL, LOGGED = range(3)  # entries of `counts`
 
 

@@ -20,7 +20,7 @@ from hjprofile.solvers.kernels.journal import BLOW_UP, EVENTS, EXIT, MERGE
 from hjprofile.solvers.run import Array, Event, State, VerticalStep
 from hjprofile.solvers.vertical_steps.kernels import steps as kernels
 from hjprofile.solvers.vertical_steps.kernels.steps import StepLaw
-from hjprofile.solvers.vertical_steps.kernels.telescoping import WIDEST
+from hjprofile.solvers.vertical_steps.kernels.telescoping import WIDEST_LAYER
 
 NEAR = 4.0  # cells from a vertical slope: what is as steep as there may be a step
 LEAST = 1.5  # least height, as a part of that by which R falls within a cell of a vertical slope
@@ -69,7 +69,7 @@ def _layer(q: Array, p: int, beyond: int, dx: float) -> tuple[int, int]:
     The right one is twice as far, clear of what a scheme of second order leaves beside a layer; if the next peak, at
     the cell `beyond`, is nearer than that, it is the lowest in between.
     """
-    first = max(p - WIDEST, 0)
+    first = max(p - WIDEST_LAYER, 0)
     rises = np.diff(q[first : p + 1])
     flat = rises <= dx * np.max(rises, initial=0.0)
     ends = np.flatnonzero(flat & (q[first:p] < 0.5 * q[p]))  # the peak itself may be flat

@@ -8,9 +8,9 @@ import math
 import numpy as np
 
 from hjprofile.solvers.characteristics.kernels.labels import (
-    BEYOND,
-    CLOSE,
-    NOISE,
+    MAX_LOCAL,
+    RESIDUAL_FOUND,
+    RESIDUAL_LOST,
     after_start,
     at_label,
     before_end,
@@ -51,20 +51,20 @@ def find_labels(y, t, medium, shocks, unborn):
                 continue
         if not shock_labels(k, shocks.off, r, X, mesh, rule, law, w):
             return 1 + k
-    at, top_X, rounding = shocks.top[0], 0.0, 1.0
+    at, crest_X, rounding = shocks.crest[0], 0.0, 1.0
     for _ in range(30):  # the label at x = 0
         p, s = before_end(at, count, mesh)
-        if not abs(s) <= BEYOND:
+        if not abs(s) <= MAX_LOCAL:
             return NOT_ADMISSIBLE
-        _, top_X, _, slope = at_label(p, s, r, X, mesh, rule, w)
-        rounding = max(1.0, abs(top_X))
-        top_X += mesh.base[p]
-        if abs(top_X) <= CLOSE * rounding or not slope > 0.0:
+        _, crest_X, _, slope = at_label(p, s, r, X, mesh, rule, w)
+        rounding = max(1.0, abs(crest_X))
+        crest_X += mesh.base[p]
+        if abs(crest_X) <= RESIDUAL_FOUND * rounding or not slope > 0.0:
             break
-        at += top_X * mesh.half[p] / slope
-    if not abs(top_X) <= NOISE * rounding:
+        at += crest_X * mesh.half[p] / slope
+    if not abs(crest_X) <= RESIDUAL_LOST * rounding:
         return NOT_ADMISSIBLE
-    shocks.top[0] = at
+    shocks.crest[0] = at
     return FOUND_ALL
 
 
@@ -84,10 +84,10 @@ def find_flux(r, medium, shocks, stages):
                 for i in range(n):
                     S[p, i] += g * rule.B[j, i]
             right = S[p, 0]
-    p, s = before_end(shocks.top[0], count, mesh)
+    p, s = before_end(shocks.crest[0], count, mesh)
     weights(rule, s, w)
-    top = dot(w, r, p)
-    c[count] = -math.log(top) - dot(w, S, p)
+    crest = dot(w, r, p)
+    c[count] = -math.log(crest) - dot(w, S, p)
     for k in range(count - 1, -1, -1):
         p, s = after_start(shocks.off[k, 1], k + 1, mesh)
         weights(rule, s, w)
@@ -98,7 +98,7 @@ def find_flux(r, medium, shocks, stages):
             c[k] = log_K - math.log(dot(w, r, p)) - dot(w, S, p)
         else:
             c[k] = log_K  # of the neutral slope on the left
-    return top
+    return crest
 
 
 @compiled
@@ -110,7 +110,7 @@ def rates(y, t, medium, shocks, stages, unborn, out):
     if found != FOUND_ALL:
         return found
     r = y[: P * n].reshape(P, n)
-    top = find_flux(r, medium, shocks, stages)
+    crest = find_flux(r, medium, shocks, stages)
     for k in range(shocks.off.shape[0] + 1):
         for p in range(mesh.first[k], mesh.first[k + 1]):
             for i in range(n):
@@ -122,7 +122,7 @@ def rates(y, t, medium, shocks, stages, unborn, out):
     if mesh.first[0] < mesh.first[1]:
         log_K += math.log(r[0, 0]) + stages.S[0, 0]
     out[2 * P * n] = math.exp(log_K) - 1.0
-    out[2 * P * n + 1] = law_terms(top, law)[0]
+    out[2 * P * n + 1] = law_terms(crest, law)[0]
     return FOUND_ALL
 
 

@@ -16,10 +16,10 @@ from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.law import LawTable, law_derivatives
 
 # Residuals of X and W, absolute for a distance X of at most 1 and relative for a longer one
-CLOSE = 4e-15  # at which the labels of a shock are found; below it Newton's step is rounding
-FOUND = 1e-13  # at which they are accepted if the residual decreases no further
-NOISE = 1e-11  # above which the label at x = 0 is lost
-BEYOND = 1.5  # largest local variable to which the polynomial of a panel may be continued
+RESIDUAL_FOUND = 4e-15  # at which the labels of a shock are found; below it Newton's step is rounding
+RESIDUAL_ACCEPTED = 1e-13  # at which they are accepted if the residual decreases no further
+RESIDUAL_LOST = 1e-11  # above which the label at x = 0 is lost
+MAX_LOCAL = 1.5  # largest local variable to which the polynomial of a panel may be continued
 
 
 class Rule(NamedTuple):
@@ -70,14 +70,14 @@ class Shocks(NamedTuple):
     Attributes:
         off: distances of each shock's labels from its joint, shape (shocks, 2).
         birth, power, tau: of a young shock, whose `off` scale with (t - birth)^power from the age tau; later power = 0.
-        top: distance of the label at x = 0 from the last joint, shape (1,).
+        crest: distance of the label at x = 0 from the last joint, shape (1,).
     """
 
     off: np.ndarray
     birth: np.ndarray
     power: np.ndarray
     tau: np.ndarray
-    top: np.ndarray
+    crest: np.ndarray
 
 
 class Stages(NamedTuple):
@@ -167,7 +167,7 @@ def newton_labels(k, off, r, X, mesh, rule, law, w):
     best, rounding = 1e300, 1.0
     for _ in range(25):
         p, s = after_start(b1, k + 1, mesh)
-        if not abs(s) <= BEYOND:
+        if not abs(s) <= MAX_LOCAL:
             break
         r1, X1, W1, slope1 = at_label(p, s, r, X, mesh, rule, w)
         half1, base1, rounding = mesh.half[p], mesh.base[p], max(1.0, abs(X1))
@@ -176,7 +176,7 @@ def newton_labels(k, off, r, X, mesh, rule, law, w):
             off_X, off_W, slope0, q0, half0 = 0.0, -W1, 1.0, 0.0, 1.0
         else:
             p, s = before_end(b0, k, mesh)
-            if not abs(s) <= BEYOND:
+            if not abs(s) <= MAX_LOCAL:
                 break
             r0, X0, W0, slope0 = at_label(p, s, r, X, mesh, rule, w)
             half0 = mesh.half[p]
@@ -189,9 +189,9 @@ def newton_labels(k, off, r, X, mesh, rule, law, w):
         if size < best:
             best = size
             off[k, 0], off[k, 1] = b0, b1
-            if size <= CLOSE * rounding:
+            if size <= RESIDUAL_FOUND * rounding:
                 return True
-        elif best <= FOUND * rounding:
+        elif best <= RESIDUAL_ACCEPTED * rounding:
             return True
         if not q1 > q0 or slope0 <= 0.0 or slope1 <= 0.0:
             break
@@ -201,11 +201,11 @@ def newton_labels(k, off, r, X, mesh, rule, law, w):
             b0 -= min(max(move0, -0.5 * half0), 0.5 * half0)
         b1 += min(max(move1, -0.5 * half1), 0.5 * half1)
         b0, b1 = max(b0, 0.0), max(b1, 0.0)
-    return best <= FOUND * rounding
+    return best <= RESIDUAL_ACCEPTED * rounding
 
 
 @compiled
-def beside(side, k, off, r, X, mesh, rule, w):
+def at_joint(side, k, off, r, X, mesh, rule, w):
     """Return local position, X, W and X_ξ of the label `off` left (side = -1.0) or right (1.0) of the joint of shock k.
 
     X is measured from the base of the panel right of the joint.
@@ -221,8 +221,8 @@ def fold(side, k, r, X, mesh, rule, w):
     step = 0.1 * mesh.half[mesh.first[k + 1] - 1 if side < 0.0 else mesh.first[k + 1]]
     low = high = 0.0
     while True:
-        s, _, _, slope = beside(side, k, high, r, X, mesh, rule, w)
-        if not abs(s) <= BEYOND:
+        s, _, _, slope = at_joint(side, k, high, r, X, mesh, rule, w)
+        if not abs(s) <= MAX_LOCAL:
             return math.nan
         if slope > 0.0:
             break
@@ -231,7 +231,7 @@ def fold(side, k, r, X, mesh, rule, w):
         step *= 1.2
     while high > 0.0 and high - low > 1e-15 + 1e-13 * high:
         middle = 0.5 * (low + high)
-        if beside(side, k, middle, r, X, mesh, rule, w)[3] > 0.0:
+        if at_joint(side, k, middle, r, X, mesh, rule, w)[3] > 0.0:
             high = middle
         else:
             low = middle
@@ -244,8 +244,8 @@ def label_of(side, k, target, of_W, start, r, X, mesh, rule, w):
     step = mesh.half[mesh.first[k + 1] - 1 if side < 0.0 else mesh.first[k + 1]]
     low, high = start, start + 0.1 * step
     while True:
-        s, at, W, _ = beside(side, k, high, r, X, mesh, rule, w)
-        if not abs(s) <= BEYOND:
+        s, at, W, _ = at_joint(side, k, high, r, X, mesh, rule, w)
+        if not abs(s) <= MAX_LOCAL:
             return math.nan
         if (at + of_W * (W - at) - target) * side >= 0.0:
             break
@@ -254,7 +254,7 @@ def label_of(side, k, target, of_W, start, r, X, mesh, rule, w):
         step *= 1.2
     for _ in range(60):
         middle = 0.5 * (low + high)
-        _, at, W, _ = beside(side, k, middle, r, X, mesh, rule, w)
+        _, at, W, _ = at_joint(side, k, middle, r, X, mesh, rule, w)
         if (at + of_W * (W - at) - target) * side >= 0.0:
             high = middle
         else:
@@ -272,7 +272,10 @@ def bracket_labels(k, off, r, X, mesh, rule, w):
     left = fold(-1.0, k, r, X, mesh, rule, w)
     if not (left >= 0.0 and right >= 0.0):
         return False
-    low, high = beside(1.0, k, right, r, X, mesh, rule, w)[1], beside(-1.0, k, left, r, X, mesh, rule, w)[1]
+    low, high = (
+        at_joint(1.0, k, right, r, X, mesh, rule, w)[1],
+        at_joint(-1.0, k, left, r, X, mesh, rule, w)[1],
+    )
     if not low < high:
         return False
     b0 = b1 = 0.0
@@ -282,7 +285,7 @@ def bracket_labels(k, off, r, X, mesh, rule, w):
         b1 = label_of(1.0, k, x, 0.0, right, r, X, mesh, rule, w)
         if b0 != b0:
             low = x
-        elif b1 != b1 or beside(-1.0, k, b0, r, X, mesh, rule, w)[2] < beside(1.0, k, b1, r, X, mesh, rule, w)[2]:
+        elif b1 != b1 or at_joint(-1.0, k, b0, r, X, mesh, rule, w)[2] < at_joint(1.0, k, b1, r, X, mesh, rule, w)[2]:
             high = x
         else:
             low = x
@@ -304,7 +307,7 @@ def shock_labels(k, off, r, X, mesh, rule, law, w):
         if max(off[k, 0], off[k, 1]) == 0.0:
             return True
         empty = mesh.first[k] == mesh.first[k + 1]
-        rising = empty or beside(-1.0, k, off[k, 0], r, X, mesh, rule, w)[3] > 0.0
-        if rising and beside(1.0, k, off[k, 1], r, X, mesh, rule, w)[3] > 0.0:
+        rising = empty or at_joint(-1.0, k, off[k, 0], r, X, mesh, rule, w)[3] > 0.0
+        if rising and at_joint(1.0, k, off[k, 1], r, X, mesh, rule, w)[3] > 0.0:
             return True
     return bracket_labels(k, off, r, X, mesh, rule, w) and newton_labels(k, off, r, X, mesh, rule, law, w)

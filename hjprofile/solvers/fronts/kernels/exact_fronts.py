@@ -11,12 +11,12 @@ from hjprofile.solvers.fronts.kernels.front_merging import merge, note_events
 from hjprofile.solvers.fronts.kernels.front_state import crest_flux, speeds, sweep
 from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.dormand_prince import STAGES, Tableau, state_at, step_error
-from hjprofile.solvers.kernels.journal import CREST_LOWERING, GROWTH, STEPS
+from hjprofile.solvers.kernels.journal import CREST_LOWERING, STEPS, TOE_GAIN
 
-TOGETHER = 1e-13  # fronts no further apart count as coincident
-AT_END = 1e-11  # the same at the end of an integration, where rounding can delay an event beyond it
-ALIKE = 1e-10  # relative difference of speeds below which coincident fronts stay together
-IDLE = 1000  # consecutive steps without progress in time after which the integration fails
+COINCIDENT = 1e-13  # fronts no further apart count as coincident
+COINCIDENT_AT_END = 1e-11  # the same at the end of an integration, where rounding can delay an event beyond it
+EQUAL_SPEEDS = 1e-10  # relative difference of speeds below which coincident fronts stay together
+MAX_STALLED_STEPS = 1000  # consecutive steps without progress in time after which the integration fails
 
 
 class ExactControl(NamedTuple):
@@ -61,7 +61,7 @@ def least_gap(y, before, n):
     """
     least, at = -y[n - 1], n - 1
     for j in range(n - 1):
-        if before[j + 1] - before[j] > TOGETHER and y[j + 1] - y[j] < least:
+        if before[j + 1] - before[j] > COINCIDENT and y[j + 1] - y[j] < least:
             least, at = y[j + 1] - y[j], j
     return least, at
 
@@ -69,7 +69,7 @@ def least_gap(y, before, n):
 @compiled
 def fan_fails_to_open(y, before, n):
     """Return True if neighbours that coincided have changed their order."""
-    return np.any((np.diff(before[:n]) <= TOGETHER) & (np.diff(y[:n]) < -0.1 * TOGETHER))
+    return np.any((np.diff(before[:n]) <= COINCIDENT) & (np.diff(y[:n]) < -0.1 * COINCIDENT))
 
 
 @compiled
@@ -80,7 +80,7 @@ def first_crossing(y, new, rates, dt, n):
         if j < n - 1:
             a, b = y[j + 1] - y[j], new[j + 1] - new[j]
             da, db = dt * (rates[0, j + 1] - rates[0, j]), dt * (rates[12, j + 1] - rates[12, j])
-            if a <= TOGETHER:
+            if a <= COINCIDENT:
                 continue
         else:
             a, b, da, db = -y[j], -new[j], -dt * rates[0, j], -dt * rates[12, j]
@@ -116,18 +116,18 @@ def first_event(y, rates, dt, jump, n, medium, sides, tableau, new):
     """
     low, high, side = 0.0, 1.0, 0
     g_low, g_high = least_gap(y, y, n)[0], least_gap(new, y, n)[0]
-    theta, used, met = first_crossing(y, new, rates, dt, n), dt, -1
+    theta, used, pair = first_crossing(y, new, rates, dt, n), dt, -1
     for _ in range(60):
         used = theta * dt
         step(y, rates, used, jump, n, medium, sides, tableau, new)
-        gap, met = least_gap(new, y, n)
-        if abs(gap) <= 2e-15 * max(1.0, abs(new[met])) or high - low <= 2e-16:
+        gap, pair = least_gap(new, y, n)
+        if abs(gap) <= 2e-15 * max(1.0, abs(new[pair])) or high - low <= 2e-16:
             break
         low, g_low, high, g_high, side = narrowed(low, g_low, high, g_high, side, theta, gap)
         theta = low + (high - low) * g_low / (g_low - g_high)
-    if met == n - 1:
+    if pair == n - 1:
         new[n - 1] = 0.0
-    return used, met
+    return used, pair
 
 
 @compiled
@@ -140,22 +140,22 @@ def advance_exactly(fronts, n, t, end, control, medium, work, journal):
     x, jump, sides, rates, totals = fronts.x, fronts.jump, work.sides, work.rate, journal.totals
     tableau, stalled = control.tableau, 0
     dt = 0.01 * (end - t)
-    met = -1  # the pair (met, met + 1) of an event
+    pair = -1  # the pair (pair, pair + 1) of an event
     while n > 0:
         # coincident fronts that do not separate are one front: after an event, and in the data
         rates_of(x, jump, n, medium, sides, rates[0])
-        if put_together(x, rates[0], n, met, TOGETHER if t < end else AT_END, t >= end):
+        if put_together(x, rates[0], n, pair, COINCIDENT if t < end else COINCIDENT_AT_END, t >= end):
             sweep(x, jump, n, n - 1, medium, sides)
             n = merge(fronts, n, t, medium.law, sides, rates[0], work.stack, journal)
             n = note_events(fronts, n, t, control.strong, rates[0], journal)
-            met = -1
+            pair = -1
             continue
         if t >= end:
             break
 
         y, new = work.trial[: n + 2], work.new[: n + 2]
         y[:n] = x[:n]
-        y[n], y[n + 1] = totals[GROWTH], totals[CREST_LOWERING]
+        y[n], y[n + 1] = totals[TOE_GAIN], totals[CREST_LOWERING]
         dt = min(dt, end - t)
         while True:
             step(y, rates, dt, jump, n, medium, sides, tableau, new)
@@ -171,29 +171,29 @@ def advance_exactly(fronts, n, t, end, control, medium, work, journal):
                 break
         used = dt
         if least_gap(new, y, n)[0] < 0.0:
-            used, met = first_event(y, rates, dt, jump, n, medium, sides, tableau, new)
+            used, pair = first_event(y, rates, dt, jump, n, medium, sides, tableau, new)
         stalled = stalled + 1 if used < 1e-13 * end else 0
-        if stalled > IDLE:
+        if stalled > MAX_STALLED_STEPS:
             return n, False
         t = end if used == end - t else t + used
         x[:n] = new[:n]
-        totals[GROWTH], totals[CREST_LOWERING] = new[n], new[n + 1]
+        totals[TOE_GAIN], totals[CREST_LOWERING] = new[n], new[n + 1]
         journal.counts[STEPS] += 1
         dt *= min(2.0, 0.9 * error**-0.125) if error > 0.0 else 2.0
     return n, True
 
 
 @compiled
-def put_together(x, speed, n, met, near, at_end):
+def put_together(x, speed, n, pair, near, at_end):
     """Put fronts that have become one out of order, to be merged; return True if there are any, or if one leaves.
 
-    These are the pair (met, met + 1), and neighbours that are no further apart than `near` and do not separate.
+    These are the pair (pair, pair + 1), and neighbours that are no further apart than `near` and do not separate.
     """
     together = False
     if at_end and x[n - 1] >= -near:
         x[n - 1] = 0.0
     for j in range(n - 2, -1, -1):
-        if j == met or (x[j + 1] - x[j] <= near and speed[j] > (1.0 - ALIKE) * speed[j + 1]):
+        if j == pair or (x[j + 1] - x[j] <= near and speed[j] > (1.0 - EQUAL_SPEEDS) * speed[j + 1]):
             x[j] = x[j + 1] + 4e-15 * max(1.0, abs(x[j + 1]))
             together = True
     return together or x[n - 1] >= 0.0

@@ -48,19 +48,19 @@ class Sides(NamedTuple):
 
 
 @compiled
-def top_front(x, n):
+def crest_front(x, n):
     """Return the index of the front whose piece on the right contains x = 0."""
-    top = n - 1
-    while top > 0 and x[top] > 0.0:
-        top -= 1
-    return top
+    crest = n - 1
+    while crest > 0 and x[crest] > 0.0:
+        crest -= 1
+    return crest
 
 
 @compiled
-def sweep(x, jump, n, top, medium, sides):
+def sweep(x, jump, n, crest, medium, sides):
     """Fill the sides of the first n fronts: a sweep to the right for r, and one to the left for K with K(0) = 1.
 
-    `jump` holds the jumps of I; x = 0 lies right of front `top`. Positions may be out of order: pieces of negative
+    `jump` holds the jumps of I; x = 0 lies right of front `crest`. Positions may be out of order: pieces of negative
     length continue the same formula.
     """
     law, near = medium.law, medium.near
@@ -95,23 +95,23 @@ def sweep(x, jump, n, top, medium, sides):
                     rho = law_flow(rho_right, h, law)
                 r = math.exp(rho)
     if n > 0:
-        K[top] = r_right[top] / law_decay(r_right[top], -x[top], law)
-    for j in range(top - 1, -1, -1):
+        K[crest] = r_right[crest] / law_decay(r_right[crest], -x[crest], law)
+    for j in range(crest - 1, -1, -1):
         K[j] = K[j + 1] * r_right[j] / r_left[j + 1]
-    for j in range(top + 1, n):
+    for j in range(crest + 1, n):
         K[j] = K[j - 1] * r_left[j] / r_right[j - 1]
 
 
 @compiled
-def speeds(x, jump, n, top, medium, sides, speed):
+def speeds(x, jump, n, crest, medium, sides, speed):
     """Fill x' = K [f]/[q] of the first n fronts, and their sides except the slope; `speed` is the work array for it."""
     K = sides.K
-    sweep(x, jump, n, top, medium, Sides(sides.r_left, sides.r_right, speed, K))
+    sweep(x, jump, n, crest, medium, Sides(sides.r_left, sides.r_right, speed, K))
     for j in range(n):
         speed[j] *= K[j]
 
 
 @compiled
-def crest_flux(x, top, r_right, law):
-    """Return F = f(q) at x = 0, right of front `top`."""
-    return law_q_f(law_decay(r_right[top], -x[top], law), law)[1]
+def crest_flux(x, crest, r_right, law):
+    """Return F = f(q) at x = 0, right of front `crest`."""
+    return law_q_f(law_decay(r_right[crest], -x[crest], law), law)[1]

@@ -65,8 +65,8 @@ def edges_eno2(padded, edges):
     """Fill q on the left of the nodes 0..N by second-order ENO: the less steep of the lines to either neighbour."""
     for i in range(edges.size):
         q = padded[i + GHOSTS - 1]
-        back, ahead = q - padded[i + GHOSTS - 2], padded[i + GHOSTS] - q
-        half = 0.5 * (back if abs(back) < abs(ahead) else ahead)
+        behind, ahead = q - padded[i + GHOSTS - 2], padded[i + GHOSTS] - q
+        half = 0.5 * (behind if abs(behind) < abs(ahead) else ahead)
         most = FLOOR_SHARE * (1.0 + q)
         edges[i] = q + max(min(half, most), -most)
 

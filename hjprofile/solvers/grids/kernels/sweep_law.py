@@ -125,7 +125,7 @@ def read_f(p, law, f):
 
 
 @by_type
-def eroded(l, d, dx, law, f, df):
+def cell_law(l, d, dx, law, f, df):
     """Return f(q) dx and f'(q) in lane l for the mass d = q dx of a cell: by formula, or as read into f and df."""
     if law.instance_class is Rational:
 
@@ -142,7 +142,7 @@ def eroded(l, d, dx, law, f, df):
 
 
 @by_type
-def eroded_with_mean(l, d, s, dx, law, f, df, f_mean):
+def cell_law_with_mean(l, d, s, dx, law, f, df, f_mean):
     """Return f(q) dx, f'(q), and f dx at the mean of two neighbours whose masses have the sum s."""
     if law.instance_class is Rational:
 
@@ -174,6 +174,6 @@ def values(q, law, f, df):
             read(row, law, f_row, df_row)
         else:
             for l in range(LANES):
-                f_row[l], df_row[l] = eroded(l, row[l], 1.0, law, f_row, df_row)
+                f_row[l], df_row[l] = cell_law(l, row[l], 1.0, law, f_row, df_row)
         for l in range(width):
             f[start + l], df[start + l] = f_row[l], df_row[l]

@@ -18,8 +18,8 @@ import numpy as np
 from hjprofile.solvers.grids.kernels.sweep_law import (
     LANES,
     Linear,
-    eroded,
-    eroded_with_mean,
+    cell_law,
+    cell_law_with_mean,
     is_table,
     read,
     read_f,
@@ -75,21 +75,21 @@ class Given(NamedTuple):
 
 
 @vectorised
-def growth(z):
+def exp_quadratic(z):
     """Return K_{i-1}/K_i for z = f Δx in schemes of first order: e^z to second order, positive and bounded below."""
     z = max(z, -1.0)
     return 1.0 + z * (1.0 + 0.5 * z)
 
 
 @by_type
-def thickening(law, z):
-    """Return K_{i-1}/K_i in schemes of first order: `growth`, or e^z for a law of linear growth (theory, §14)."""
-    return (lambda law, z: math.exp(z)) if law.instance_class is Linear else (lambda law, z: growth(z))
+def K_ratio(law, z):
+    """Return K_{i-1}/K_i in schemes of first order: `exp_quadratic`, or e^z for a law of linear growth (§14)."""
+    return (lambda law, z: math.exp(z)) if law.instance_class is Linear else (lambda law, z: exp_quadratic(z))
 
 
 @by_type
-def steepest(law, z):
-    """Return the derivative of `thickening` by z, at least 1: the factor of f' in the speed of the telescoping flux."""
+def K_ratio_derivative(law, z):
+    """Return the derivative of `K_ratio` by z, at least 1: the factor of f' in the speed of the telescoping flux."""
     if law.instance_class is Linear:
         return lambda law, z: math.exp(max(z, 0.0))
     return lambda law, z: 1.0 + max(z, 0.0)
@@ -136,27 +136,27 @@ def node_flux(flux, law, l, K, d, d_right, df_right, dx, rows):
     if kind is Godunov:
 
         def upwind(flux, law, l, K, d, d_right, df_right, dx, rows):
-            z, df = eroded(l, d, dx, law, rows[0], rows[1])
+            z, df = cell_law(l, d, dx, law, rows[0], rows[1])
             return z, df, K * z, K * df
 
         return upwind
     if kind is Telescoping:
 
         def telescoping(flux, law, l, K, d, d_right, df_right, dx, rows):
-            z, df = eroded(l, d, dx, law, rows[0], rows[1])
-            return z, df, K * (thickening(law, z) - 1.0), K * df * steepest(law, z)
+            z, df = cell_law(l, d, dx, law, rows[0], rows[1])
+            return z, df, K * (K_ratio(law, z) - 1.0), K * df * K_ratio_derivative(law, z)
 
         return telescoping
     if kind is LaxFriedrichs:
 
         def lax_friedrichs(flux, law, l, K, d, d_right, df_right, dx, rows):
-            z, df, z_mean = eroded_with_mean(l, d, d + d_right, dx, law, rows[0], rows[1], rows[2])
+            z, df, z_mean = cell_law_with_mean(l, d, d + d_right, dx, law, rows[0], rows[1], rows[2])
             return z, df, K * z_mean - 0.5 * flux.bound * (d_right - d), K * max(df, df_right)
 
         return lax_friedrichs
 
     def local_lax_friedrichs(flux, law, l, K, d, d_right, df_right, dx, rows):
-        z, df, z_mean = eroded_with_mean(l, d, d + d_right, dx, law, rows[0], rows[1], rows[2])
+        z, df, z_mean = cell_law_with_mean(l, d, d + d_right, dx, law, rows[0], rows[1], rows[2])
         fastest = max(df, df_right)
         return z, df, K * (z_mean - 0.5 * fastest * (d_right - d)), fastest + 0.5 * max(df_right - df, 0.0)
 
@@ -179,7 +179,7 @@ def hj_pass(W, dx, dt, levels, inflow, law, flux, factor):
     rows = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)  # f, f' and f at the mean, if the law is a table
     p, k_left = np.zeros(LANES), np.ones(LANES)
     right[LANES - 1] = W[n]
-    grown = speed_met = 0.0
+    toe_gain = largest_speed = 0.0
     for step in range(n + 2 * levels - 1):
         row[LANES] = W[max(n - step - 1, 0)]
         start, stop = LANES - 1 - step // 2, LANES - 1 - (step - n) // 2  # lanes at the right end, at the left end
@@ -193,10 +193,10 @@ def hj_pass(W, dx, dt, levels, inflow, law, flux, factor):
         at_left = step >= n and (step - n) % 2 == 0
         if at_left:
             height = right[stop] - dt * inflow
-            grown += dt * (K[stop] - 1.0)
-            speed_met = max(speed_met, fastest[stop])
+            toe_gain += dt * (K[stop] - 1.0)
+            largest_speed = max(largest_speed, fastest[stop])
             if looks_ahead(flux):  # viscosity can spread q to the left end, next to the neutral slope
-                speed_met = max(speed_met, K[stop] * max(slope_at_zero(law), df_right[stop]))
+                largest_speed = max(largest_speed, K[stop] * max(slope_at_zero(law), df_right[stop]))
         if is_table(law):
             for l in range(LANES):
                 p[l] = 1.0 + (right[l] - row[l + 1]) * per_dx
@@ -207,14 +207,14 @@ def hj_pass(W, dx, dt, levels, inflow, law, flux, factor):
                 read_f(p, law, rows[2])
         read_factor(factor, n - 1 - step, 2, k_left)
         if looks_ahead(flux) and starts:
-            _, df_right[start] = eroded(start, d_right[start], dx, law, rows[0], rows[1])
+            _, df_right[start] = cell_law(start, d_right[start], dx, law, rows[0], rows[1])
         for l in range(LANES):
             here, left = right[l], row[l + 1]
             right[l] = left
             d = here - left
             z, df, F, speed = node_flux(flux, law, l, K[l], d, d_right[l], df_right[l], dx, rows)
             row[l] = here - ratio * F
-            K_left = K[l] * thickening(law, z)
+            K_left = K[l] * K_ratio(law, z)
             K_left = factor_at(K_left, factor, k_left[l])
             if is_local(flux):
                 speed *= max(max(K_left, K_right[l]), K[l])
@@ -228,4 +228,4 @@ def hj_pass(W, dx, dt, levels, inflow, law, flux, factor):
         done = n - step + 2 * (levels - 1)
         if done <= n:
             W[done] = row[last]
-    return speed_met, grown
+    return largest_speed, toe_gain

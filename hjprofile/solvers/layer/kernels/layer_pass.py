@@ -26,8 +26,8 @@ def layer_pass(q, H, m, F, dx, dt, steps, bound, supply_flux, inflow):
     the speed exceeds `bound`: arriving grains can increase it several times.
     """
     n = q.size
-    speed = growth = crest_lowering = 0.0
-    held = supply_flux * dx
+    speed = toe_gain = crest_lowering = 0.0
+    supply_mass_per_H = supply_flux * dx
     for _ in range(steps):
         if speed > bound:
             break
@@ -35,20 +35,20 @@ def layer_pass(q, H, m, F, dx, dt, steps, bound, supply_flux, inflow):
         for i in range(n - 1, -1, -1):
             p = 1.0 + q[i]
             if not p > 0.0:
-                return np.inf, growth, crest_lowering
+                return np.inf, toe_gain, crest_lowering
             z = q[i] / p * dx
             w = max(z, -1.0)
             g = 1.0 + w + 0.5 * w * w
-            c = p * (dt * m[i + 1] + held * H[i]) / (dt * p + held * g)
+            c = p * (dt * m[i + 1] + supply_mass_per_H * H[i]) / (dt * p + supply_mass_per_H * g)
             F[i] = c * (g - 1.0) / dx
             m[i] = c * g
-            growth += held * (m[i] / p - H[i])
+            toe_gain += supply_mass_per_H * (m[i] / p - H[i])
             H[i] = m[i] / p
             speed = max(speed, c / min(p, p * p) * (1.0 + max(z, 0.0)))
-        growth += dt * (m[0] - 1.0)
+        toe_gain += dt * (m[0] - 1.0)
         before = inflow
         for i in range(n):
             q[i] -= dt / dx * (F[i] - before)
             before = F[i]
         crest_lowering += dt * before
-    return speed, growth, crest_lowering
+    return speed, toe_gain, crest_lowering

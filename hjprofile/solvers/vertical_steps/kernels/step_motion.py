@@ -5,17 +5,17 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.solvers.kernels import compiled
-from hjprofile.solvers.kernels.journal import CREST_LOWERING, GROWTH, STEPS
+from hjprofile.solvers.kernels.journal import CREST_LOWERING, STEPS, TOE_GAIN
 from hjprofile.solvers.vertical_steps.kernels.step_merging import merge
 from hjprofile.solvers.vertical_steps.kernels.step_transitions import transitions
 from hjprofile.solvers.vertical_steps.kernels.steps import at, flows, moved, r_of, sweep, v_of, y_of
 
-CROWDED = 0.25  # factor of the time step if a slope is about to become vertical
-STEEP = 0.02  # change of R at x = 0 in a time step above which it replaces the quadrature over the stages
+CROWDED_FACTOR = 0.25  # factor of the time step if a slope is about to become vertical
+LARGE_CREST_CHANGE = 0.02  # change of R at x = 0 in a time step above which it replaces the quadrature over the stages
 NEAR_VERTICAL = 4.0  # time steps in which a vertical step can reach the point where its right piece is vertical
 CONTACT = 0.9  # relative speed above which the slopes on the right of a vertical step soon leave it
-LANDINGS = 20  # trials of a time step that ends when a vertical step arrives at x = 0
-LANDED = 1e-10  # tolerance of the arrival, as a fraction of the spacing
+ARRIVAL_TRIALS = 20  # trials of a time step that ends when a vertical step arrives at x = 0
+ARRIVAL_TOLERANCE = 1e-10  # tolerance of the arrival, as a fraction of the spacing
 
 
 class StepControl(NamedTuple):
@@ -53,15 +53,15 @@ class StepWorkspace(NamedTuple):
 
 
 @compiled
-def top_front_or_step(x, is_step, n):
+def crest_front_or_step(x, is_step, n):
     """Return the front whose piece on the right contains x = 0.
 
     A vertical step counts as below the crest until it has arrived.
     """
-    top = n - 1
-    while top > 0 and x[top] > 0.0 and not is_step[top]:
-        top -= 1
-    return top
+    crest = n - 1
+    while crest > 0 and x[crest] > 0.0 and not is_step[crest]:
+        crest -= 1
+    return crest
 
 
 @compiled
@@ -76,24 +76,24 @@ def runge_kutta(fronts, n, dt, law, sides, work):
     x, y, jump, is_step, k, d = fronts.x, fronts.y, fronts.jump, fronts.is_step, sides.speed, sides.drift
     v_right, r_right, K = sides.v_right, sides.r_right, sides.K
     xs, ys, dx, dy, y_right, shift = work.x, work.y, work.dx, work.dy, work.y_right, work.shift
-    growth = crest_lowering = steepest = 0.0
+    toe_gain = crest_lowering = steepest = 0.0
     for j in range(n):
         dx[j] = dy[j] = shift[j] = 0.0
         y_right[j] = y_of(v_right[j], law)
-    top = first_top = top_front_or_step(x, is_step, n)
-    r_top = r_of(v_of(moved(y_right[top], -x[top], law), law), law)
+    crest = first_crest = crest_front_or_step(x, is_step, n)
+    r_crest = r_of(v_of(moved(y_right[crest], -x[crest], law), law), law)
     for stage in range(4):
         if stage > 0:
             part = 1.0 if stage == 3 else 0.5
             for j in range(n):
                 xs[j], ys[j] = x[j] + part * dt * k[j], y[j] + part * dt * d[j]
-            top = top_front_or_step(xs, is_step, n)
-            sweep(xs, ys, fronts, n, top, law, sides)
+            crest = crest_front_or_step(xs, is_step, n)
+            sweep(xs, ys, fronts, n, crest, law, sides)
         weight = dt / 3.0 if stage in (1, 2) else dt / 6.0
-        at_left, at_top = flows(xs if stage else x, top, sides, law)
-        growth += weight * at_left
-        crest_lowering += weight * at_top
-        steepest = max(steepest, at_top)
+        at_left, at_crest = flows(xs if stage else x, crest, sides, law)
+        toe_gain += weight * at_left
+        crest_lowering += weight * at_crest
+        steepest = max(steepest, at_crest)
         for j in range(n):
             dx[j] += weight * k[j]
             dy[j] += weight * d[j]
@@ -101,12 +101,12 @@ def runge_kutta(fronts, n, dt, law, sides, work):
     for j in range(n):
         y_right[j] = moved(y_right[j], dx[j] - shift[j], law)
         xs[j] = x[j] + dx[j]
-    if dt * steepest > STEEP:  # F is unbounded, but dR/dt = F at x = 0, and W is continuous at the fronts that left
-        top = top_front_or_step(xs, is_step, n)
-        crest_lowering = r_of(v_of(moved(y_right[top], -xs[top], law), law), law) - r_top
-        for j in range(top + 1, first_top + 1):
+    if dt * steepest > LARGE_CREST_CHANGE:  # F is unbounded, but dR/dt = F at x = 0, and W is continuous there
+        crest = crest_front_or_step(xs, is_step, n)
+        crest_lowering = r_of(v_of(moved(y_right[crest], -xs[crest], law), law), law) - r_crest
+        for j in range(crest + 1, first_crest + 1):
             crest_lowering += jump[j]
-    return growth, crest_lowering
+    return toe_gain, crest_lowering
 
 
 @compiled
@@ -118,8 +118,8 @@ def advance(fronts, n, t, end, control, law, sides, work, journal):
     """
     x, y, is_step, k, dx, dy = fronts.x, fronts.y, fronts.is_step, sides.speed, work.dx, work.dy
     while t < end and n > 0:
-        top = top_front_or_step(x, is_step, n)
-        sweep(x, y, fronts, n, top, law, sides)
+        crest = crest_front_or_step(x, is_step, n)
+        sweep(x, y, fronts, n, crest, law, sides)
         dt, first = step_length(fronts, n, control, law, sides)
         if not dt > 1e-9 * end:
             return n, False
@@ -130,29 +130,29 @@ def advance(fronts, n, t, end, control, law, sides, work, journal):
         longest = dt
         if first >= 0:
             dt = min(dt, -x[first] / k[first])
-        growth, crest_lowering = runge_kutta(fronts, n, dt, law, sides, work)
-        for trial in range(LANDINGS):
+        toe_gain, crest_lowering = runge_kutta(fronts, n, dt, law, sides, work)
+        for trial in range(ARRIVAL_TRIALS):
             beyond = x[first] + dx[first] if first >= 0 else -1.0
             if dt == longest and beyond <= 0.0:
                 break
-            if abs(beyond) <= LANDED * control.spacing or trial == LANDINGS - 1:
+            if abs(beyond) <= ARRIVAL_TOLERANCE * control.spacing or trial == ARRIVAL_TRIALS - 1:
                 dx[first] = -x[first]
                 break
             dt = min(max(dt - beyond / k[first], 0.5 * dt), longest)
-            sweep(x, y, fronts, n, top, law, sides)
-            growth, crest_lowering = runge_kutta(fronts, n, dt, law, sides, work)
+            sweep(x, y, fronts, n, crest, law, sides)
+            toe_gain, crest_lowering = runge_kutta(fronts, n, dt, law, sides, work)
         for j in range(n):
             x[j] += dx[j]
             y[j] = max(y[j] + dy[j], 0.0)
-        journal.totals[GROWTH] += growth
+        journal.totals[TOE_GAIN] += toe_gain
         journal.totals[CREST_LOWERING] += crest_lowering
         journal.counts[STEPS] += 1
         t = end if dt == end - t else t + dt
-        sweep(x, y, fronts, n, top_front_or_step(x, is_step, n), law, sides)
+        sweep(x, y, fronts, n, crest_front_or_step(x, is_step, n), law, sides)
         before = n
         n = merge(fronts, n, t, law, sides, work.y_right, journal)
         if n < before:
-            sweep(x, y, fronts, n, top_front_or_step(x, is_step, n), law, sides)
+            sweep(x, y, fronts, n, crest_front_or_step(x, is_step, n), law, sides)
         n = transitions(fronts, n, t, control.quantum, control.strong, law, sides, journal)
     return n, True
 
@@ -177,4 +177,4 @@ def step_length(fronts, n, control, law, sides):
         if is_step[j] and label[j] > 0:
             opening |= y[j] < NEAR_VERTICAL * abs(drift[j]) * dt
             opening |= K[j] * at(law.df, law, v_right[j]) > CONTACT * k[j]
-    return dt * (CROWDED if opening else 1.0), first
+    return dt * (CROWDED_FACTOR if opening else 1.0), first

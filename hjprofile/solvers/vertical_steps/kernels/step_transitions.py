@@ -34,7 +34,7 @@ def transitions(fronts, n, t, quantum, strong, law, sides, journal):
         if is_step[j]:
             if blow_up[j] == np.inf:
                 blow_up[j] = t - time_since_vertical(r_left[j] + 0.5 * jump[j], K[j], law)
-            if n < x.size and lets_go(r_right[j] + quantum, speed[j], K[j], law):
+            if n < x.size and releases(r_right[j] + quantum, speed[j], K[j], law):
                 release(fronts, n, j, quantum, law, sides)
                 n += 1
                 j += 1
@@ -57,7 +57,7 @@ def time_since_vertical(r, K, law):
 
 
 @compiled
-def lets_go(r, speed, K, law):
+def releases(r, speed, K, law):
     """Return True if a vertical step is slower than the slope with R = r that would then lie on its right."""
     return r < law.r_most and speed < K * at(law.df, law, v_of_r(r, law))
 

@@ -14,7 +14,7 @@ import numpy as np
 from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.law import polynomial
 
-ALIKE = 1e-5  # difference of ln(1 + q) below which [f]/[q] is f' in the middle
+EQUAL_LN_SLOPES = 1e-5  # difference of ln(1 + q) below which [f]/[q] is f' in the middle
 
 
 class StepLaw(NamedTuple):
@@ -157,8 +157,8 @@ def step_speed(m, law):
 
 
 @compiled
-def sweep(x, y, fronts, n, top, law, sides):
-    """Fill the sides of the first n fronts, at x and with y on their right; x = 0 lies right of front `top`.
+def sweep(x, y, fronts, n, crest, law, sides):
+    """Fill the sides of the first n fronts, at x and with y on their right; x = 0 lies right of front `crest`.
 
     A sweep to the right computes v, and one to the left K with K(0) = 1. If the jump of I at a kink exceeds the R of an
     infinite slope, the excess is already the height of a vertical step.
@@ -186,17 +186,17 @@ def sweep(x, y, fronts, n, top, law, sides):
             r = r_of(v, law)
     if n == 0:
         return
-    K[top] = r_right[top] / r_of(v_of(moved(y_of(v_right[top], law), -x[top], law), law), law)
-    for j in range(top - 1, -1, -1):
+    K[crest] = r_right[crest] / r_of(v_of(moved(y_of(v_right[crest], law), -x[crest], law), law), law)
+    for j in range(crest - 1, -1, -1):
         K[j] = K[j + 1] * r_right[j] / r_left[j + 1]
         if m[j + 1] != 0.0:
             K[j] *= math.exp(law.eta0 * m[j + 1])
-    for j in range(top + 1, n):
+    for j in range(crest + 1, n):
         K[j] = K[j - 1] * math.exp(-law.eta0 * m[j]) * r_left[j] / r_right[j - 1]
     for j in range(n):
         if is_step[j] or m[j] > 0.0:
             speed[j] = K[j] * step_speed(m[j], law)
-        elif abs(v_right[j] - v_left[j]) < ALIKE:
+        elif abs(v_right[j] - v_left[j]) < EQUAL_LN_SLOPES:
             speed[j] = K[j] * at(law.df, law, 0.5 * (v_left[j] + v_right[j]))
         else:
             a, b = math.expm1(v_left[j]), math.expm1(v_right[j])
@@ -206,9 +206,9 @@ def sweep(x, y, fronts, n, top, law, sides):
 
 
 @compiled
-def flows(x, top, sides, law):
+def flows(x, crest, sides, law):
     """Return K - 1 left of all fronts, and F at x = 0."""
-    v = v_of(moved(y_of(sides.v_right[top], law), -x[top], law), law)
+    v = v_of(moved(y_of(sides.v_right[crest], law), -x[crest], law), law)
     return sides.K[0] * math.exp(law.eta0 * sides.height[0]) - 1.0, f_of(v, law)
 
 

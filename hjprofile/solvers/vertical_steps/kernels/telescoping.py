@@ -6,14 +6,14 @@ from hjprofile.solvers.grids.kernels.sweep_law import values
 from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.vertical_steps.kernels.steps import v_of
 
-WIDEST = 200  # largest width, in cells, of the left part of the numerical layer of a vertical step
-NEAR = 1.0  # distance from a vertical slope, in cells; steeper slopes on a grid count as vertical steps
+WIDEST_LAYER = 200  # largest width, in cells, of the left part of the numerical layer of a vertical step
+STEEPEST_DISTANCE = 1.0  # distance from a vertical slope, in cells; steeper slopes on a grid count as vertical steps
 
 
 @compiled
 def steepest_slope(dx, law):
-    """Return the slope at the distance NEAR cells to the right of a vertical one, in a piece of constant I."""
-    return math.expm1(v_of(-math.expm1(-law.rate * NEAR * dx), law))
+    """Return the slope STEEPEST_DISTANCE cells to the right of a vertical one, in a piece of constant I."""
+    return math.expm1(v_of(-math.expm1(-law.rate * STEEPEST_DISTANCE * dx), law))
 
 
 @compiled
@@ -36,7 +36,7 @@ def thin_layers(q, f, eta0, steep):
             p += 1
             continue
         a, rise = p - 1, q[p] - q[p - 1]
-        while a > max(p - WIDEST, 0) and q[a] - q[a - 1] > 1e-3 * rise:
+        while a > max(p - WIDEST_LAYER, 0) and q[a] - q[a - 1] > 1e-3 * rise:
             rise = max(rise, q[a] - q[a - 1])
             a -= 1
         last = min(p + 2 * (p - a), n - 1)
@@ -74,18 +74,18 @@ def rates(q, law, dx, inflow, eta0, steep, f, df, dq):
         K *= math.exp(z)
         speed = max(speed, K * df[c])
     thin_layers(q, f, eta0, steep)
-    K, right, F_right, top = 1.0, 1.0, 0.0, 0.0
+    K, right, F_right, crest = 1.0, 1.0, 0.0, 0.0
     for c in range(n - 1, -1, -1):  # F at the right end of a cell depends on K in the cell and in the next one
         K *= math.exp(f[c] * dx)
-        beside = limited(f[c - 1], f[c]) if c > 0 else (f[0] if inflow != 0.0 else 0.0)
-        here = K * math.exp(-0.5 * dx * beside)
+        f_node = limited(f[c - 1], f[c]) if c > 0 else (f[0] if inflow != 0.0 else 0.0)
+        here = K * math.exp(-0.5 * dx * f_node)
         if c == n - 1:
             right = 2.0 - here
         F = (here - right) / dx
         if c == n - 1:
-            top = F
+            crest = F
         else:
             dq[c + 1] = (F - F_right) / dx
         F_right, right = F, here
     dq[0] = (inflow - F_right) / dx
-    return speed, right + 0.5 * dx * inflow, top
+    return speed, right + 0.5 * dx * inflow, crest
