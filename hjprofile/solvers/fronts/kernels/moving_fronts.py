@@ -103,7 +103,7 @@ def advance(fronts, n, t, end, control, medium, work, journal):
 
 @compiled
 def fit_folds(n, control, law, work):
-    """Shorten the next step until no front crosses more than MOST_FOLDS; fill `max_K_f` and return its largest value."""
+    """Shorten the next step until no front crosses more than MOST_FOLDS; fill `max_K_f`; return its maximum."""
     r_right, K, speed, max_K_f = work.sides.r_right, work.sides.K, work.rate[0], work.max_K_f
     folds = largest_K_f = 0.0
     for j in range(n):
