@@ -1,4 +1,4 @@
-"""A-priori facts and budgets that every run must respect (theory, §1 and §3), watched from outside."""
+"""Monitor of the a-priori bounds and budgets that every run must satisfy (theory, §1 and §3)."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from hjprofile.solvers.grids.flux import Flux
 from hjprofile.solvers.grids.kernels import watch
 from hjprofile.solvers.run import Array, Halt, State, Verdict
 
-ROUNDING = 1e-10  # relative; some 1e5 steps add up errors of 1e-16 each, at worst all in one direction
-EXACT, FIRST_ORDER = "rounding", "first order in dx"  # how well a method keeps what it promises
+ROUNDING = 1e-10  # relative; 1e5 steps sum errors of 1e-16 each, in the worst case all of one sign
+EXACT, FIRST_ORDER = "rounding", "first order in dx"  # accuracy to which a method satisfies a bound
 
-# How a method keeps each bound, None if it does not promise it. First: schemes in conservation form that are monotone
-# in q; the local viscosity changes with q, which keeps them from being so; a higher order cannot be.
+# Accuracy to which a method satisfies each bound, None if it is not guaranteed. The first mapping is for monotone
+# schemes in conservation form. A local viscosity depends on q, so it is not monotone; nor is a higher order.
 Promises = Mapping[str, str | None]
 MONOTONE: Promises = MappingProxyType(
     {
@@ -35,7 +35,7 @@ MONOTONE: Promises = MappingProxyType(
     }
 )
 TELESCOPING: Promises = MappingProxyType({**MONOTONE, "volume_budget": EXACT})
-# a law of linear growth (theory, §14): q is without bound, and so is its variation
+# a law of linear growth (theory, §14): q and its variation are unbounded
 STEEP: Promises = MappingProxyType({**TELESCOPING, **dict.fromkeys(("upper_bound", "tv_growth"))})
 STEEP_SECOND_ORDER: Promises = MappingProxyType(
     {name: kept and FIRST_ORDER for name, kept in STEEP.items()}
@@ -48,41 +48,40 @@ LOCAL: Promises = MappingProxyType(
 HIGHER_ORDER: Promises = MappingProxyType(
     {name: kept and FIRST_ORDER for name, kept in LOCAL.items()} | {"mass_budget": EXACT}
 )
-# Whatever the factor is: the other facts use that K is made of q, and hold for a factor that is kept to first order
-# in the time that it is kept, without a constant that is known
+# Bounds for any K. The others use the definition of K by q. With a frozen K they hold to first order in the refresh
+# interval, with an unknown constant.
 FOR_ANY_FACTOR = ("mass_budget", "signs", "l1_decay", "flux_maximum", "flux_variation", "kruzkov")
-# K of the 2x2 model is not that of q, and q < 0 may fall: what is left is that a slope is carried along, by H > 0
+# K of the 2x2 model is not K of q, and q < 0 may decrease; with H > 0 slopes are still transported
 WITH_LAYER: Promises = MappingProxyType(dict.fromkeys(("mass_budget", "volume_budget", "signs", "l1_decay"), EXACT))
-STOPPING = ("mass_budget", "volume_budget")  # where they are kept to rounding, nothing is right that breaks them
+STOPPING = ("mass_budget", "volume_budget")  # if a method satisfies them to rounding, a violation stops the run
 
 
 class BoundsMonitor:
-    """Records the worst margin of each bound that a method promises, with its time and place.
+    """Worst margin of each bound that a method guarantees, with its time and position.
 
-    With q(0) the data, q⁺ and q⁻ their positive and negative parts:
-    mass_budget: ∫q changes by the inflow less the lowering of the crest.
-    volume_budget: the eroded volume is ∫(K(left) - 1) dt (§6g): to rounding where the flux telescopes, else within
+    With q(0) the data, q⁺ and q⁻ their positive and negative parts: mass_budget: ∫q changes by the inflow less the
+    lowering of the crest. volume_budget: the eroded volume is ∫(K(left) - 1) dt (§6g): to rounding if the flux
+    telescopes, else within
         dx ∫∫ (K f² + max(K f') |q_x|) dx dt, the first-order difference between Σ F dx and K(left) - 1.
-    minimum_principle: q >= min(inf q(0), 0).
-    signs: data of one sign keep it.
-    l1_decay: ‖q‖₁ does not increase.
-    factor_bounds: -f'(inf q(0)) ‖q⁻‖₁ <= ln K <= f'(0) ‖q⁺‖₁; the margin is the part that is left.
-    upper_bound: q/f(q) <= sup(q(0)/f(q(0)) + W(0)) + ‖q⁻‖₁ [qBound]; the margin likewise, of what lies above 1/f'(0).
-    tv_growth: TV(q) grows by ∫ TV(K f²) dt at most; the margin likewise.
-    flux_maximum, flux_variation, kruzkov: with K frozen at a state, a step of the method's own length
-        does not raise sup|F| nor TV(F) [decay_sup_flux, decay_tv_flux], and it keeps the order of states, which is
+    minimum_principle: q >= min(inf q(0), 0). signs: q of one sign at t = 0 retains its sign. l1_decay: ‖q‖₁ does not
+    increase. factor_bounds: -f'(inf q(0)) ‖q⁻‖₁ <= ln K <= f'(0) ‖q⁺‖₁; the margin is the unused fraction. upper_bound:
+    q/f(q) <= sup(q(0)/f(q(0)) + W(0)) + ‖q⁻‖₁ [qBound]; the margin is the unused fraction of the
+        excess over 1/f'(0).
+    tv_growth: TV(q) grows by ∫ TV(K f²) dt at most; the margin is the unused fraction. flux_maximum, flux_variation,
+    kruzkov: with K frozen at a state, a step of the method's own length
+        does not raise sup|F| or TV(F) [decay_sup_flux, decay_tv_flux], and it preserves the order of states, which is
         Kružkov's inequality: |H(q) - H(α)| <= H(max(q, α)) - H(min(q, α)) for the step H and a constant α.
-        With a coefficient that does not depend on t, neither may grow over the whole run (but for lax-friedrichs, the
-        viscosity of which changes).
+        With a coefficient that does not depend on t, neither may grow over the whole run (except for lax-friedrichs,
+        whose viscosity changes).
 
-    With a prescribed coefficient, and with a factor that is kept for a while, FOR_ANY_FACTOR alone are watched.
-    What is kept to first order may miss by dx TV(q). Where something flows in, only budgets and the least q count.
+    With a prescribed coefficient, and with a frozen K, only FOR_ANY_FACTOR are monitored. Bounds that hold to first
+    order have an additional allowance of dx TV(q). With an inflow only the budgets and the smallest q are monitored.
 
     Raises:
-        Halt: where one of STOPPING is kept to rounding and broken; with `strict` where any is broken.
+        Halt: if one of STOPPING is satisfied to rounding by the method and violated; with `strict` if any is violated.
     """
 
-    STEPS, SHARE = 1024, 1 / 8  # between two looks: steps, or part of the run
+    STEPS, SHARE = 1024, 1 / 8  # between two observations: steps, or fraction of the run
     FROZEN_STEPS = 16384
     memory: tuple[str, ...] = (
         "worst", "t", "looked", "froze", "rate", "budget_error", "budget_allowance", "norm", "growth_allowed",
@@ -120,7 +119,7 @@ class BoundsMonitor:
         self.first_volume = np.nan
         self.eroded_volume = self.toe_outflow = self.crest_lowering = self.budget_allowance = 0.0
         self.budget_error = 0.0 if coefficient is None else np.nan
-        # sup|F| and TV(F) when they were last seen
+        # sup|F| and TV(F) of the last observation
         self.lasting = flux if flux and flux.lasting and coefficient is not None and coefficient.steady else None
         self.flux_seen = (np.inf, np.inf)
         self.t = self.rate = self.swell = self.growth_allowed = 0.0
@@ -131,17 +130,17 @@ class BoundsMonitor:
         return state.steps - self.looked >= self.STEPS or state.t - self.t >= self.pause
 
     def observe(self, state: State) -> None:
-        """Raises Halt, see above."""
+        """Update the margins of all bounds. Raise Halt if a bound that stops a run is violated."""
         q, dx, t, grid = state.q, self.grid.dx, state.t, self.grid
         ln_K = self.ln_K[: q.size + 1]
         mass, norm, least, most, variation, ln_K_min, ln_K_max, settled, swell = watch.survey(q, dx, state.law, ln_K)
-        variation += 0.0 if self.inflow else abs(float(q[0]))  # the slope is critical left of the cells that are given
+        variation += 0.0 if self.inflow else abs(float(q[0]))  # the slope is neutral left of these cells
         rate = dx * (settled + state.speed * variation)
         if np.isnan(self.first_volume):
             self.first_volume = state.volume()
         else:
             self.budget_allowance += 0.5 * (t - self.t) * (self.rate + rate)
-            with np.errstate(over="ignore"):  # how K differs across a cell; inf, and nothing is promised, near q = -1
+            with np.errstate(over="ignore"):  # ratio of K across a cell; inf near q = -1, where no bound applies
                 across = np.exp(dx * np.abs(self.law.f(np.array([least, most]))).max())
             self.growth_allowed += (t - self.t) * max(self.swell, swell) * across
         self.t, self.rate, self.swell, self.looked = t, rate, swell, state.steps
@@ -190,7 +189,7 @@ class BoundsMonitor:
         return self._judge(state)
 
     def _compare(self, F: Array, most: float, variation: float, ln_K_max: float) -> None:
-        """sup|F| and TV(F) with what they were before."""
+        """Compare sup|F| and TV(F) with their values before."""
         # rounding of F, and of the differences of K that telescoping fluxes divide by dx
         rounding = ROUNDING * float(np.abs(F).max()) + 1e-15 * ln_K_max / self.grid.dx
         self._record("flux_maximum", rounding, float(np.abs(F).max()) - most)
@@ -198,9 +197,9 @@ class BoundsMonitor:
         self._record("flux_variation", F.size * rounding + ROUNDING * varied, varied - variation)
 
     def _freeze(self, state: State, K: Array, most: float, place: Callable[[int], float]) -> None:
-        """One step with K frozen, from q and from its maximum and minimum with a constant."""
+        """Check one step with K frozen, from q and from its maximum and minimum with a constant."""
         q, dx = state.q, self.grid.dx
-        # what moves in the step meets K and f' nearby, and that must not make it longer than the method's own
+        # the CFL number of the step, with K and f' of the neighbouring cells, must not exceed that of the method
         nearby = watch.fastest_nearby(q, K, state.law)
         assert self.flux is not None
         dt, flux = state.dt * min(state.speed / nearby, 1.0), self.flux.kernel(max(state.bound, nearby))
@@ -210,19 +209,19 @@ class BoundsMonitor:
 
         after, F = step(q)
         self._compare(step(after)[1], float(np.abs(F).max()), float(np.abs(np.diff(F)).sum()), float(K.max()))
-        # a different cell's slope each time; low slopes would need shorter steps where K is large
+        # the slope of another cell each time; small slopes would need shorter steps if K is large
         alpha = float(q[int(q.size * (0.618 * (state.steps + 1) % 1.0))])
         if float(K.max()) * float(self.law.derivative(alpha)) > state.speed:
             alpha = most
         steps = [step(y)[0] for y in (np.full(q.size, alpha), np.maximum(q, alpha), np.minimum(q, alpha))]
-        excess = (np.abs(after - steps[0]) - (steps[1] - steps[2]))[1:-1]  # what enters at the ends is given
+        excess = (np.abs(after - steps[0]) - (steps[1] - steps[2]))[1:-1]  # the flux at the ends is prescribed
         worst = int(np.argmax(excess))
         self._record("kruzkov", ROUNDING * (1.0 + most), float(excess[worst]), 0.0, lambda: place(worst + 1))
 
     def _record(
         self, name: str, allowed: float, excess: float, smear: float = 0.0, place: Callable[[], float] = lambda: np.nan
     ) -> None:
-        """Keeps the worst margin; `smear` is allowed beside where the method keeps the bound to first order only."""
+        """Record the worst margin; `smear` is an additional allowance for bounds that hold to first order only."""
         if name not in self.promises:
             return
         allowed += smear if self.promises[name] == FIRST_ORDER else 0.0
@@ -232,6 +231,7 @@ class BoundsMonitor:
             row[:] = margin, self.t, place()
 
     def _judge(self, state: State) -> None:
+        """Raise Halt if a violated bound stops the run."""
         for name, verdict in self.bounds.items():
             stopping = name in STOPPING and verdict.allowance == EXACT
             if not verdict.holds and verdict.time == state.t and (self.strict or stopping):
@@ -239,7 +239,7 @@ class BoundsMonitor:
 
     @property
     def bounds(self) -> dict[str, Verdict]:
-        """A verdict on each bound that was looked at."""
+        """A verdict on each observed bound."""
         return {
             name: Verdict(margin >= 0.0, margin, t, x, kept)
             for (name, kept), (margin, t, x) in zip(self.promises.items(), self.worst.tolist(), strict=True)

@@ -1,9 +1,9 @@
-"""The conservation law q_t + (K f(q))_x = 0 on cells.
+"""Schemes for the conservation law q_t + (K f(q))_x = 0 on cells.
 
-`SecondOrder` is a discretisation of its own: it shares neither reconstruction, nor quadrature for K, nor time step
-with the Hamilton-Jacobi solver, so that agreement of the two is evidence. `FirstOrder` takes the Hamilton-Jacobi
-solver's fluxes through another code path, plainly: differencing one form gives the other identically (theory, §2), so
-the two must agree to rounding.
+`SecondOrder` is an independent discretisation: it shares neither reconstruction, quadrature for K, nor time step with
+the Hamilton-Jacobi solver, so agreement of the two is evidence. `FirstOrder` uses the fluxes of the Hamilton-Jacobi
+solver in a separate numpy implementation. Differencing one form gives the other identically (theory, §2), so the two
+must agree to rounding.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from hjprofile.solvers.run import Array, Breakdown
 
 
 def _heights(q: Array, dx: float, W_left: float) -> Array:
-    """W on the nodes."""
+    """Return W on the nodes."""
     return W_left + np.concatenate([[0.0], np.cumsum(q) * dx])
 
 
 def _growth(law: GridLaw, z: Array) -> Array:
-    """K_{i-1}/K_i for z = f Δx, as in the sweeps of the Hamilton-Jacobi solver."""
+    """Return K_{i-1}/K_i for z = f Δx, as in the sweeps of the Hamilton-Jacobi solver."""
     if law.law.grows_linearly:
         return np.exp(z)
     z = np.maximum(z, -1.0)
@@ -35,7 +35,7 @@ def _growth(law: GridLaw, z: Array) -> Array:
 
 
 def local_lax_friedrichs(law: GridLaw, dx: float, ql: Array, qr: Array, K: Array, bound: float) -> tuple[Array, Array]:
-    """The twin of `wavefront.LocalLaxFriedrichs`."""
+    """Compute F and the bounding K f' of `wavefront.LocalLaxFriedrichs` in numpy."""
     left, right = law.derivative(ql), law.derivative(qr)
     viscosity = K[1:] * np.maximum(left, right)
     K_max = np.maximum(np.maximum(K[1:], K[:-1]), np.append(K[2:], K[-1]))  # of neighbouring nodes
@@ -44,24 +44,24 @@ def local_lax_friedrichs(law: GridLaw, dx: float, ql: Array, qr: Array, K: Array
 
 
 def lax_friedrichs(law: GridLaw, dx: float, ql: Array, qr: Array, K: Array, bound: float) -> tuple[Array, Array]:
-    """The twin of `wavefront.LaxFriedrichs`."""
+    """Compute F and the bounding K f' of `wavefront.LaxFriedrichs` in numpy."""
     return K[1:] * law.f((ql + qr) / 2) - bound / 2 * (qr - ql), K[1:] * law.derivative(np.minimum(ql, qr))
 
 
 def godunov(law: GridLaw, dx: float, ql: Array, qr: Array, K: Array, bound: float) -> tuple[Array, Array]:
-    """The twin of `wavefront.Godunov`."""
+    """Compute F and the bounding K f' of `wavefront.Godunov` in numpy."""
     return K[1:] * law.f(ql), K[1:] * law.derivative(ql)
 
 
 def telescoping(law: GridLaw, dx: float, ql: Array, qr: Array, K: Array, bound: float) -> tuple[Array, Array]:
-    """The twin of `wavefront.Telescoping`."""
+    """Compute F and the bounding K f' of `wavefront.Telescoping` in numpy."""
     z = law.f(ql) * dx
     steepest = np.exp(np.maximum(z, 0.0)) if law.law.grows_linearly else 1 + np.maximum(z, 0.0)
     return K[1:] * (_growth(law, z) - 1.0) / dx, K[1:] * law.derivative(ql) * steepest
 
 
 class FirstOrder(Restorable):
-    """Forward Euler with a numerical flux, in plain numpy."""
+    """Forward Euler steps with a numerical flux, in plain numpy."""
 
     memory: tuple[str, ...] = ("q", "W_left", "growth", "crest_lowering")
 
@@ -107,7 +107,7 @@ class FirstOrder(Restorable):
             neighbour = np.append(self.q[1:], self.q[-1])  # outflow at x = 0
             F, speed = self.flux.twin(self.law, dx, self.q, neighbour, K, bound)
             fastest = max(fastest, float(np.max(speed)))
-            # viscosity can carry q to the left end, and what is given can be largest there
+            # viscosity can spread q to the left end, and a prescribed K can be largest there
             if given is not None or self.flux.viscous:
                 fastest = max(fastest, float(K[0] * np.max(self.law.derivative(np.array([0.0, self.q[0]])))))
             self.q = self.q - dt / dx * np.diff(F, prepend=self.inflow)
@@ -173,7 +173,7 @@ class SecondOrder:
 
 
 class HighOrderConservation(HighOrder):
-    """q_t = -F_x with F = K f(q⁻) and q⁻ reconstructed from the cell means."""
+    """The scheme q_t = -F_x with F = K f(q⁻) and q⁻ reconstructed from the cell means."""
 
     def __init__(
         self, law: GridLaw, grid: Grid, q: Array, W_left: float, inflow: float, order: str,

@@ -1,4 +1,4 @@
-"""One run of a method on a grid: the scheme, what watches it, and the result."""
+"""Run of a method on a grid: the scheme, its monitors, and the result."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def solve_on_grid(
     problem: Problem, grid: Grid, method: Method, cfl: float, progress: Progress | None,
     strict: bool = False, keeper: Keeper | None = None, refresh: float | None = None, identity: Mapping = NOBODY,
 ) -> Run:  # fmt: skip
-    """Run a method on a grid, watched; `identity` distinguishes a keeper's checkpoints from those of other runs."""
+    """Run a method on a grid, with monitors; `identity` distinguishes the checkpoints of the run from others."""
     cfl, setup = number("cfl", cfl), method.setup_for(problem)
     scheme = setup.scheme(problem, grid, refresh)
     bounds = BoundsMonitor(problem, grid, scheme.W, setup.promises, method.flux, strict, scheme.factor.refresh)

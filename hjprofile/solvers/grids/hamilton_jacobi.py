@@ -1,7 +1,7 @@
-"""The Hamilton-Jacobi equation u_t + K f(u_x - 1) = 0 on nodes.
+"""Schemes for the Hamilton-Jacobi equation u_t + K f(u_x - 1) = 0 on nodes.
 
-The unknown is W = u - x, which has the same equation and less rounding than u. With q on the cells the difference
-quotients of W and F the numerical flux, a step is W_i -= Δt F_i (theory, §2).
+The unknown is W = u - x, which satisfies the same equation with less rounding than u. With q the difference quotients
+of W on the cells and F the numerical flux, a step is W_i -= Δt F_i (theory, §2).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class HamiltonJacobi:
         self.W, self.before = W.copy(), W.copy()
         self.q, self.K = np.empty(grid.cells), np.ones(grid.cells + 1)
         self.growth = self.crest_lowering = 0.0
-        # the first and the last node where W is not what it is at that end
+        # the first and the last node at which W differs from its value at that end
         self.active = kernels.flat_ends(self.W, 0, grid.cells, W[0], W[-1])
 
     def evaluate(self) -> float:
@@ -67,7 +67,7 @@ class HamiltonJacobi:
         self.W[a : b + 1] = self.before[a : b + 1]
 
     def volume(self) -> float:
-        """Node 0 left out: its flux is the inflow, so that for the telescoping flux the sum changes by K - 1."""
+        """Return the sum without node 0, whose flux is the inflow: under the telescoping flux the sum changes by K - 1."""
         return self.grid.dx * float(np.sum(self.W[1:]))
 
 

@@ -1,4 +1,4 @@
-"""Kinks followed through time: numbered for life, their births, merges and exits."""
+"""Tracking of kinks through time: permanent numbers, births, merges and exits."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from hjprofile.solvers.run import Array, Event, KinkRecord, State, in_order
 
 Speed = Callable[["Sighting"], float]
 
-MEMORY = 10  # sightings at most from which a merge is dated
-NEARBY = 40  # cells within which the sightings lie from which a speed is measured or a merge is dated; ...
-FEWEST = 6  # ... for a speed those nearest, if they are fewer
-SCATTER = 0.005  # most that a sighting may be off the curve, as a part of the way: the speed is then off by 1 % or less
-LEAST_SPAN = 12  # cells over which a speed is measured: a position scatters by some 0.05 of a cell
-BACK = 2  # cells by which a kink may seem to go downhill: its place is known to 0.3 to 1.9 in the mean (theory, Kinks)
-LEAST_LIFE = 3  # sightings that make a kink still in sight at the end ...
-LEAST_WAY = 6  # ... and cells that any other crosses: a rise that ends within fewer is a flicker of the threshold
+MEMORY = 10  # largest number of sightings from which a merge is dated
+NEARBY = 40  # cells, the range of sightings from which a speed is measured or a merge is dated
+FEWEST = 6  # smallest number of sightings for a speed; the nearest ones if fewer lie within NEARBY
+SCATTER = 0.005  # largest residual of the fit as a fraction of the distance; the error of the speed is then at most 1 %
+LEAST_SPAN = 12  # cells, smallest range for a speed: positions scatter by about 0.05 cells
+BACK = 2  # cells by which a kink may appear to move downslope: its mean error is 0.3 to 1.9 cells (theory, Kinks)
+LEAST_LIFE = 3  # sightings that define a kink which is still resolved at the end
+LEAST_WAY = 6  # cells that any other kink crosses; shorter paths are caused by the detection threshold
 
 
 class Sighting(NamedTuple):
-    """A kink found at one moment."""
+    """A kink found in one state."""
 
     x: float
     q_left: float
@@ -35,12 +35,13 @@ class Sighting(NamedTuple):
 
     @property
     def jump(self) -> float:
+        """The jump of q."""
         return self.q_right - self.q_left
 
 
 @dataclass(eq=False)
 class _Path:
-    """One kink through time; numbers are given when all paths are known."""
+    """One kink through time; numbers are assigned when all paths are known."""
 
     born: bool = False
     number: int = 0
@@ -50,11 +51,12 @@ class _Path:
     into: _Path | None = None
 
     def add(self, t: float, sighting: Sighting) -> None:
+        """Append a sighting."""
         self.times.append(t)
         self.sightings.append(sighting)
 
     def join(self, other: _Path, paths: list[_Path]) -> None:
-        """Takes over what was seen later of the same kink."""
+        """Append the later sightings of the same kink, stored as another path."""
         paths.remove(other)
         rows = sorted(zip(self.times + other.times, self.sightings + other.sightings, strict=True), key=lambda r: r[0])
         self.times, self.sightings = [t for t, _ in rows], [s for _, s in rows]
@@ -63,7 +65,7 @@ class _Path:
                 p.into = self
 
     def seniority(self, t: float) -> tuple[bool, float]:
-        """Return the rank of a kink at t. Of two that merge the lower lives on: that of the start, or else the left."""
+        """Return the rank of a kink at t. The lower rank survives a merge: kinks of the data, then from the left."""
         return self.born, float(np.interp(t, self.times, [s.x for s in self.sightings]))
 
     def place(self, t: float) -> float:
@@ -74,9 +76,10 @@ class _Path:
 
 
 class KinkTracker:
-    """A monitor that finds the kinks of every state it sees and links the sightings into paths.
+    """A monitor that finds the kinks of every observed state and links the sightings into paths.
 
-    `hidden` tells stretches (left, right) of a state in which what looks like a kink is none: the layers of steps.
+    `hidden` returns the intervals (left, right) of a state that contain no kinks: the numerical layers of vertical
+    steps.
     """
 
     memory: tuple[str, ...] = ("table",)
@@ -92,13 +95,15 @@ class KinkTracker:
         return True
 
     def happened(self, state: State) -> bool:
-        """Whether there are more or fewer kinks than when they were last observed."""
+        """Return True if the number of kinks has changed since the last observation."""
         return len(self._look(state)) != len(self.frames[-1][1])
 
     def observe(self, state: State) -> None:
+        """Append the kinks of a state."""
         self.frames.append((state.t, self._look(state)))
 
     def _look(self, state: State) -> list[Sighting]:
+        """Return the kinks of a state."""
         if self.latest[0] != state.t:
             rows = find_kinks(state.q, float(self.grid.nodes[state.first]), self.grid.dx, state.law)
             if state.K is not None:
@@ -125,7 +130,7 @@ class KinkTracker:
                 self.frames[-1][1].append(Sighting(*seen))
 
     def result(self, kept: Array) -> tuple[list[KinkRecord], list[Event]]:
-        """Kinks at the kept times, and the events of the whole run."""
+        """Return the kinks at the saved times, and the events of the whole run."""
         paths = link(self.frames, self.grid.dx, self._speed)
         turns = {id(p): sorted(o.end.time for o in paths if o.into is p and o.end) for p in paths}
         records = []
@@ -143,7 +148,7 @@ class KinkTracker:
         return records, events_of(paths, self.frames[-1][0])
 
     def _speed(self, s: Sighting) -> float:
-        """Rankine-Hugoniot: K [f]/[q]."""
+        """Return the Rankine-Hugoniot speed K [f]/[q]."""
         return s.K * float(self.law.f(s.q_right) - self.law.f(s.q_left)) / s.jump
 
 
@@ -155,7 +160,7 @@ def link(frames: Sequence[tuple[float, list[Sighting]]], dx: float, speed: Speed
     unresolved for a while: where two shocks touch, their common rise can be too wide to count as one.
     """
     paths: list[_Path] = []
-    living: list[_Path] = []  # with those that are out of sight
+    living: list[_Path] = []  # including unresolved ones
     for n, (t, sightings) in enumerate(frames):
         claims = _claims(living, t, sightings, dx, speed)
         _untangle(claims, sightings)
@@ -187,23 +192,24 @@ def link(frames: Sequence[tuple[float, list[Sighting]]], dx: float, speed: Speed
 
 
 def _meet(other: _Path, path: _Path, paths: list[_Path], dx: float, speed: Speed) -> None:
-    """Two paths that go on as one: a merge, or one kink that was out of sight for a while."""
+    """Join two paths that continue as one: by a merge, or as one kink that was unresolved for a while."""
     if set(other.times) & set(path.times):
         _merge(other, path, dx, speed)
-    else:  # never seen side by side
+    else:  # never observed at the same time
         path.join(other, paths)
 
 
 def _claims(
     living: Sequence[_Path], t: float, sightings: Sequence[Sighting], dx: float, speed: Speed
 ) -> dict[int, list[_Path]]:
-    """Sighting -> the paths that go on with it: the nearest to where a path should be, and none downhill of it.
+    """Return, for each sighting, the paths that continue with it.
 
-    A path that was out of sight has no claim beyond its neighbours that were not: kinks do not pass each other.
+    A path claims the sighting nearest to its expected position, and none below its last position. An unresolved path
+    has no claim beyond its resolved neighbours, because kinks do not pass each other.
     """
     claimed: list[tuple[_Path, int]] = []
     latest = max((p.times[-1] for p in living), default=t)
-    for path in sorted(living, key=lambda p: p.times[-1] < latest):  # those in sight first
+    for path in sorted(living, key=lambda p: p.times[-1] < latest):  # resolved ones first
         ahead, reach = _expected(path, t, dx, speed)
         here = path.sightings[-1].x
         near = [i for i, new in enumerate(sightings) if abs(new.x - ahead) <= reach and new.x >= here - BACK * dx]
@@ -220,18 +226,21 @@ def _claims(
 
 
 def _expected(path: _Path, t: float, dx: float, speed: Speed) -> tuple[float, float]:
-    """Where the kink should be at t, and how far from there it may be found."""
+    """Return the expected position of the kink at t, and the largest distance from there."""
     travel = speed(path.sightings[-1]) * (t - path.times[-1])
     return path.sightings[-1].x + travel, 4 * dx + 0.5 * abs(travel)
 
 
 def _is_lost(path: _Path, t: float, dx: float, speed: Speed) -> bool:
-    """Out of sight for longer than two shocks need to become one."""
+    """Return True if a path has been unresolved for longer than two shocks need to become one."""
     return abs(speed(path.sightings[-1])) * (t - path.times[-1]) > 2 * WIDEST_SHOCK * dx
 
 
 def _rightful(claimants: list[_Path], dx: float) -> list[_Path]:
-    """Without those out of sight that were never seen beside one in sight, nor can be its past."""
+    """Return the claimants without unresolved ones that cannot be related to a resolved one.
+
+    Two paths are related if both were observed at the same time, or if one can be the past of the other.
+    """
     latest = max((p.times[-1] for p in claimants), default=0.0)
     present = [p for p in claimants if p.times[-1] == latest]
 
@@ -243,7 +252,7 @@ def _rightful(claimants: list[_Path], dx: float) -> list[_Path]:
 
 
 def _untangle(claims: dict[int, list[_Path]], sightings: list[Sighting]) -> None:
-    """Where two paths claim one sighting and its neighbour is unclaimed, kinks keep their order instead of merging."""
+    """Reassign sightings that two paths claim if a neighbour is unclaimed, so that kinks retain their order."""
     for i in list(claims):
         claimants = sorted(claims[i], key=lambda p: p.sightings[-1].x)
         if len(claimants) < 2:
@@ -258,7 +267,7 @@ def _untangle(claims: dict[int, list[_Path]], sightings: list[Sighting]) -> None
 
 
 def _leaves(path: _Path, t: float, dx: float, speed: Speed) -> bool:
-    """Ends a path that went out of sight when it was about to reach x = 0."""
+    """End a path that became unresolved shortly before x = 0; return True in that case."""
     x, velocity = path.sightings[-1].x, speed(path.sightings[-1])
     if velocity <= 0 or x < -3 * WIDEST_SHOCK * dx:
         return False
@@ -283,7 +292,7 @@ def _leaves_at(end: float, path: _Path, dx: float, speed: Speed) -> None:
 
 
 def _merge(loser: _Path, winner: _Path, dx: float, speed: Speed) -> None:
-    """Ends `loser` where it meets `winner`: extrapolated, for shocks that touch are seen as one too early."""
+    """End `loser` where it meets `winner`, by extrapolation, because touching shocks are joined too early."""
     common = sorted(set(loser.times) & set(winner.times))[-MEMORY:]
     xs = [np.array([p.sightings[p.times.index(t)].x for t in common]) for p in (loser, winner)]
     if abs(xs[1][-1] - xs[0][-1]) > WIDEST_SHOCK * dx:  # they did not touch: one was too weak or too wide
@@ -296,14 +305,14 @@ def _merge(loser: _Path, winner: _Path, dx: float, speed: Speed) -> None:
     else:
         speeds = [speed(p.sightings[p.times.index(t[-1])]) for p in (loser, winner)]
         closing, velocity, now, apart, here = speeds[0] - speeds[1], speeds[1], t[-1], gap[-1], xs[1][-1]
-    wait = max(apart / closing if closing * apart > 0 else 0.0, loser.times[-1] - now)  # not before both are last seen
+    wait = max(apart / closing if closing * apart > 0 else 0.0, loser.times[-1] - now)  # at the last sightings or later
     loser.into = winner
     # the extrapolation of two kinks at the crest may lie beyond it
     loser.end = Event(float(now + wait), "merge", 0, None, min(float(here + velocity * wait), 0.0))
 
 
 def _merge_lost(paths: list[_Path], end: float, dx: float, speed: Speed) -> None:
-    """A path that was lost from sight beside another that lived on, and was closing in on it, has merged with it."""
+    """Merge each lost path into a surviving neighbour that it approached."""
     for lost in sorted((p for p in paths if p.end is None and p.times[-1] < end), key=lambda p: p.times[-1]):
         t, x = lost.times[-1], lost.sightings[-1].x
         beside = [p for p in paths if p is not lost and p.times[0] <= t < p.times[-1] and t in p.times]
@@ -315,7 +324,7 @@ def _merge_lost(paths: list[_Path], end: float, dx: float, speed: Speed) -> None
         closing = (speed(lost.sightings[-1]) - speed(other.sightings[other.times.index(t)])) * np.sign(gap)
         if abs(gap) > WIDEST_SHOCK * dx or closing <= 0:
             continue
-        if lost.seniority(t) < other.seniority(t):  # it takes over the rest of the other's path
+        if lost.seniority(t) < other.seniority(t):  # the lost path receives the rest of the other path
             k = other.times.index(t) + 1
             lost.times += other.times[k:]
             lost.sightings += other.sightings[k:]
@@ -329,10 +338,10 @@ def _merge_lost(paths: list[_Path], end: float, dx: float, speed: Speed) -> None
 
 
 def _settle(path: _Path, end: float, dx: float) -> None:
-    """Keeps a merge only where and when the other kink was: it may have merged itself, or have gone out of sight."""
+    """Assign a merge to the surviving kink, or discard it if that kink has merged before or is unresolved there."""
     event, other = path.end, path.into
     assert event and other
-    # kinks that meet at one point within the resolution of the grid all merge into the one that lives on
+    # kinks that meet at one point within the resolution of the grid all merge into the surviving one
     while other.end and other.into and (other.end.time < event.time or abs(other.end.x - event.x) <= WIDEST_SHOCK * dx):
         other = other.into
     seen = np.interp(event.time, other.times, [s.x for s in other.sightings])
@@ -366,7 +375,7 @@ def _without_flicker(paths: list[_Path], end: float, dx: float) -> list[_Path]:
 
 
 def _slope(t: Array, x: Array) -> float:
-    """Of the line through the points by least squares."""
+    """Return the slope of the least-squares line through the points."""
     centred = (t - t[0]) - (t - t[0]).mean()
     spread = float(centred @ centred)
     return float(centred @ x) / spread if spread > 0 else 0.0
@@ -395,7 +404,7 @@ def _measured_speed(path: _Path, i: int, turns: Sequence[float], dx: float) -> f
 
 
 def events_of(paths: Sequence[_Path], end: float) -> list[Event]:
-    """Births, merges and exits up to the time `end`, in their order."""
+    """Return births, merges and exits up to the time `end`, in their order."""
     births = [Event(p.times[0], "birth", p.number, None, p.sightings[0].x) for p in paths if p.born]
     ends = [p.end for p in paths if p.end and p.end.time <= end]
     return in_order(births + ends)

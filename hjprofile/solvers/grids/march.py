@@ -1,7 +1,7 @@
-"""Marching a scheme through time: step size, snapshots hit exactly, failure, those who watch.
+"""Time stepping of a scheme: step size, exact saved times, failure, and monitors.
 
-A scheme takes many steps of one length at a time. The length is chosen with a margin over the speed met last, the
-speed that was met is looked at afterwards, and the steps are taken anew, shorter, if it was more than they allow.
+A scheme takes many steps of one length at a time. The length allows a margin over the last measured speed. The speed is
+checked afterwards, and the steps are repeated with a shorter length if it exceeded the bound.
 """
 
 from __future__ import annotations
@@ -24,33 +24,33 @@ from hjprofile.solvers.grids.scheme import MOST_STEPS, Scheme
 from hjprofile.solvers.run import Array, Breakdown, Halt, Keeper, Monitor, State
 from hjprofile.solvers.stop import ROBUST_METHOD, Place, Reason, Stop, Stopped, Time
 
-STEP_FLOOR = 1e-9  # of the run's end: more steps than this allows would take days, ...
-PATIENCE = 20_000  # ... but the first ones can be much shorter than those after them: K falls, and hollows fill
-SMALL_CFL = 0.3  # below it short time steps are the user's choice
-MOST_WAY = 1 / 32  # of the grid: between two states that monitors see nothing moves further, ...
-CLOSE_WAY = 3e-3  # ... of the grid and no further, where a monitor wants to know when something happened
-MARGIN = 0.01  # by which the speed may rise while steps are taken, beyond half as much again as it rose last
+STEP_FLOOR = 1e-9  # smallest time step as a fraction of the end of the run: shorter ones would take days
+PATIENCE = 20_000  # steps before STEP_FLOOR applies: the first ones can be shorter, because K falls and hollows fill
+SMALL_CFL = 0.3  # below it short time steps are the choice of the user
+MOST_WAY = 1 / 32  # largest motion between two observed states, as a fraction of the cells
+CLOSE_WAY = 3e-3  # the same where a monitor dates an event
+MARGIN = 0.01  # relative increase of the speed that a batch allows, in addition to 1.5 times the last increase
 NOBODY: Mapping[str, Any] = MappingProxyType({})
 
 
 class _StepTooSmall(Exception):
-    """The time step fell below STEP_FLOOR."""
+    """The time step is below STEP_FLOOR."""
 
 
 @dataclass
 class _Pace:
-    """Where the march is, and how it gets on."""
+    """Progress of the march and the control of its steps."""
 
     t: float = 0.0
     steps: int = 0
     seconds: float = 0.0
     shortest: float = np.inf
     longest: float = 0.0
-    speed: float = 0.0  # K f' met last
-    rise: float = 0.0  # of the speed from the last batch of steps to this, as a part of it
-    outgrown: float = 0.0  # speed that was met in steps that were too long for it
-    most: int = MOST_STEPS  # steps to take at once
-    close_until: float = 0.0  # time up to which few steps are taken at once
+    speed: float = 0.0  # last measured K f'
+    rise: float = 0.0  # relative increase of the speed from the previous batch of steps to this one
+    outgrown: float = 0.0  # speed that exceeded the bound of a rejected batch
+    most: int = MOST_STEPS  # steps in the next batch
+    close_until: float = 0.0  # time up to which batches are short
 
     memory: ClassVar[tuple[str, ...]] = (
         "t", "steps", "seconds", "shortest", "longest", "speed", "rise", "outgrown", "most", "close_until",
@@ -58,9 +58,9 @@ class _Pace:
 
 
 def _targets(problem: Problem, refresh: float | None) -> tuple[Array, frozenset[float]]:
-    """Times after 0 that are hit exactly: those that are kept, the end, and nΔt, when the factor is taken anew.
+    """Return the times after 0 that are hit exactly: the saved times, the end, and the refresh times nΔt of a frozen K.
 
-    The latter are returned apart as well. What differs by rounding only is one time.
+    The refresh times are also returned separately. Times that differ by rounding only are merged.
     """
     end = problem.end
     targets = np.unique(np.append(problem.times[problem.times > 0.0], end if end else []))
@@ -74,14 +74,14 @@ def _targets(problem: Problem, refresh: float | None) -> tuple[Array, frozenset[
 
 
 class _Watchers:
-    """The monitors of a run, each of which looks when it wants to, and the progress that is shown."""
+    """The monitors of a run, each with its own observation times, and the progress display."""
 
     def __init__(self, monitors: Mapping[str, Monitor], progress: Callable[[float], None] | None):
         self.monitors, self.progress = monitors, progress
-        self.looked = dict.fromkeys(monitors, -1.0)  # when each did so last
+        self.looked = dict.fromkeys(monitors, -1.0)  # the last observation time of each
 
     def show(self, state: State, fraction: float, every: bool) -> None:
-        """To those that want to see it, or to `every` monitor."""
+        """Show a state to the monitors that request it, or to `every` monitor."""
         for name, monitor in self.monitors.items():
             if every or monitor.wants(state):
                 self.looked[name] = state.t
@@ -90,7 +90,7 @@ class _Watchers:
             self.progress(fraction)
 
     def show_last(self, state: State) -> None:
-        """To those that have not seen it: what they find of the end is then of the last good state, too."""
+        """Show a state to the monitors that have not observed it, so that all results refer to the last good state."""
         for name, monitor in self.monitors.items():
             if self.looked[name] < state.t:
                 monitor.observe(state)
@@ -102,8 +102,8 @@ class _Batch(NamedTuple):
     dt: float
     steps: int
     bound: float  # of K f'
-    target: float  # the next time that is hit exactly, and ...
-    arrives: bool  # ... whether these steps reach it
+    target: float  # the next time that is hit exactly
+    arrives: bool  # True if these steps reach it
 
 
 class March:
@@ -116,39 +116,39 @@ class March:
         self.targets, self.renewals = _targets(problem, self.factor.refresh)
         self.close_leap = max(6, int(grid.cells * CLOSE_WAY))
         self.longest_leap = min(MOST_STEPS, max(1, int(grid.cells * MOST_WAY)), self.factor.steps)
-        self.batch = _Batch(0.0, 0, 0.0, 0.0, False)  # the last one
-        self.held = self.factor.held  # the factor before it
-        self.renewed = 0.0  # largest K f' with the factor that was taken anew at its end
+        self.batch = _Batch(0.0, 0, 0.0, 0.0, False)  # the last batch
+        self.held = self.factor.held  # frozen K before the last batch
+        self.renewed = 0.0  # largest K f' with the K that was refreshed at the end of the batch
 
     @property
     def parts(self) -> dict[str, Any]:
-        """What a checkpoint keeps the memory of."""
+        """The parts of the run whose fields a checkpoint stores."""
         own = {"pace": self.pace, "recorder": self.recorder, "scheme": self.scheme, "factor": self.factor}
         return own | dict(self.watchers.monitors)
 
     def start(self) -> None:
-        """Evaluates the data. Raises Stopped if the run cannot start."""
+        """Evaluate the data. Raise Stopped if the run cannot start."""
         try:
             self.pace.speed = self._renew() if self.factor.refresh else self.scheme.evaluate()
         except Breakdown as broken:
             raise Stopped(_no_start(broken, self.grid)) from None
-        self.scheme.advance(0.0, 1, self.pace.speed)  # compiles what is to be compiled
+        self.scheme.advance(0.0, 1, self.pace.speed)  # compiles the loops
         self.pace.most = self.longest_leap
 
     def first_state(self) -> None:
-        """Shows and stores it."""
+        """Show and store the initial state."""
         self._show(self._state(0.0, 0, self.pace.speed), every=True)
         if self.problem.times[0] == 0.0:
             self._store()
 
     def recall(self, stored: Mapping[str, Array]) -> None:
-        """Goes on from a checkpoint."""
+        """Continue from a checkpoint."""
         recall(self.parts, stored)
         self.factor.t = self.pace.t
         self.scheme.evaluate()
 
     def run(self, happened: Callable[[State], bool], keeper: Keeper | None) -> Stop | None:
-        """To the end, or to where it stops, with the reason."""
+        """Advance to the end, or until the run stops; return the reason in that case."""
         pace = self.pace
         try:
             for target in self.targets[self.targets > pace.t].tolist():
@@ -167,7 +167,7 @@ class March:
         return None
 
     def last_good_state(self) -> None:
-        """Stores and shows the state at which the run stopped."""
+        """Store and show the state at which the run stopped."""
         pace, recorder = self.pace, self.recorder
         if not recorder.rows or recorder.columns[0][recorder.rows - 1] < pace.t:
             recorder.save(pace.t, self.scheme)
@@ -176,7 +176,7 @@ class March:
             self.watchers.show_last(self._state(pace.t, pace.steps, pace.speed))
 
     def _go_to(self, target: float, happened: Callable[[State], bool], keeper: Keeper | None) -> None:
-        """To a time that is hit exactly. Raises Breakdown, Halt, _StepTooSmall."""
+        """Advance to a time that is hit exactly. Raise Breakdown, Halt, _StepTooSmall."""
         while self.pace.t < target:
             self.batch = self._choose(target)
             state = self._advance(happened)
@@ -186,7 +186,7 @@ class March:
                     keeper.keep(self.pace.t, remember(self.parts))
 
     def _choose(self, target: float) -> _Batch:
-        """As many steps as may be taken at once, of a length for a speed a little above the last one."""
+        """Return the largest allowed batch, with a step length for a speed slightly above the last one."""
         pace, problem = self.pace, self.problem
         bound = max(pace.speed * (1.0 + MARGIN + 1.5 * pace.rise), pace.outgrown * (1.0 + MARGIN))
         dt = self.cfl * self.scheme.cfl_limit * self.grid.dx / bound
@@ -202,7 +202,7 @@ class March:
         return batch
 
     def _advance(self, happened: Callable[[State], bool]) -> State | None:
-        """The state after the batch; None if that has been rolled back, to be chosen again. Raises Breakdown, Halt."""
+        """Return the state after the batch, or None if the batch was rolled back. Raise Breakdown, Halt."""
         batch, pace, factor = self.batch, self.pace, self.factor
         started, self.held = time.perf_counter(), factor.held
         try:
@@ -212,7 +212,7 @@ class March:
                 self._back()
                 if self.cfl <= 1.0:
                     pace.outgrown = met
-                else:  # no bound is promised; each step by the speed before it, to show what comes of it
+                else:  # no bound is guaranteed; each step uses the speed before it, and shows the consequence
                     pace.most = max(1, batch.steps // 4)
                 return None
             factor.t = batch.target if batch.arrives else pace.t + batch.steps * batch.dt
@@ -224,7 +224,7 @@ class March:
         except Breakdown:
             if batch.steps == 1:
                 raise
-            self._back()  # and once more, to find out where
+            self._back()  # repeat in smaller batches to locate the breakdown
             pace.most = max(1, batch.steps // 4)
             return None
         if batch.steps > self.close_leap and happened(state):
@@ -234,7 +234,7 @@ class March:
         return state
 
     def _accept(self, state: State) -> None:
-        """Notifies the monitors, and goes on from this state. Raises Halt."""
+        """Notify the monitors, and continue from this state. Raise Halt."""
         batch, pace = self.batch, self.pace
         self._show(state, every=batch.arrives and batch.target == self.targets[-1])
         pace.rise = min(max(state.speed / pace.speed - 1.0, 0.0), 1.0)
@@ -248,19 +248,19 @@ class March:
                 self._store()
 
     def _back(self) -> None:
-        """To the state before the last batch."""
+        """Return to the state before the last batch."""
         self.scheme.restore()
         self.factor.t, self.factor.held = self.pace.t, self.held
 
     def _renew(self) -> float:
-        """Takes the factor anew; returns the largest K f'."""
+        """Refresh the frozen K; return the largest K f'."""
         self.factor.held = NOTHING
         speed = self.scheme.evaluate()
         self.factor.held = self.scheme.K.copy()
         return speed
 
     def _state(self, t: float, steps: int, speed: float) -> State:
-        """The present state as monitors see it. Raises Breakdown."""
+        """Return the current state for monitors. Raise Breakdown."""
         scheme = self.scheme
         first, q = scheme.means()
         if not np.min(q) > -1.0:  # nor NaN
@@ -273,9 +273,11 @@ class March:
         )  # fmt: skip
 
     def _show(self, state: State, every: bool) -> None:
+        """Show a state to the monitors, and the progress to the user."""
         self.watchers.show(state, self.pace.t / self.problem.end if self.problem.end else 1.0, every)
 
     def _store(self) -> None:
+        """Save the current state as a row of the result."""
         self.pace.speed = max(self.pace.speed, self.scheme.evaluate())
         self.recorder.save(self.pace.t, self.scheme)
 
@@ -286,11 +288,11 @@ def march(
     happened: Callable[[State], bool] = lambda state: False,
     keeper: Keeper | None = None, identity: Mapping[str, Any] = NOBODY,
 ) -> Recording:  # fmt: skip
-    """Runs `scheme` to the problem's end; `progress` is called with the fraction that is done.
+    """Run `scheme` to the end of the problem; call `progress` with the completed fraction.
 
-    Where `happened` says that something has since the last state, the steps in between are taken anew, few at a time.
-    A keeper keeps checkpoints, and the run goes on from the one it has of the same `identity`. Raises RunError if the
-    run cannot start, or was asked to stop.
+    If `happened` returns True for a new state, the steps since the last state are repeated in small batches. A keeper
+    stores checkpoints, and the run continues from the stored one with the same `identity`. Raise RunError if the run
+    cannot start, or if it was interrupted.
     """
     one = March(scheme, problem, grid, cfl, _Watchers(monitors, progress))
     one.start()
@@ -308,6 +310,7 @@ def march(
 
 
 def _no_start(broken: Breakdown, grid: Grid) -> Stop:
+    """Return the reason if the initial state is not admissible."""
     return Stop(
         Reason.NOT_ADMISSIBLE,
         "the run cannot start: K f' is not a finite number near x = {x:.6g}, where q = {q:.6g}; the integral of f is "
@@ -317,6 +320,7 @@ def _no_start(broken: Breakdown, grid: Grid) -> Stop:
 
 
 def _too_small_a_step(run: March) -> Stop:
+    """Return the reason if the time step is below STEP_FLOOR."""
     scheme, grid = run.scheme, run.grid
     K = np.maximum(scheme.K[1:], scheme.K[:-1])
     fastest = int(np.argmax(K * run.problem.law.derivative(scheme.q)))
@@ -331,6 +335,7 @@ def _too_small_a_step(run: March) -> Stop:
 
 
 def _breakdown(broken: Breakdown, run: March) -> Stop:
+    """Return the reason if a step left the admissible range."""
     what = "q = {q:.6g} reached -1" if np.isfinite(broken.q) else "q stopped being finite"
     return Stop(
         Reason.NOT_ADMISSIBLE,

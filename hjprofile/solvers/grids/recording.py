@@ -1,4 +1,4 @@
-"""What a run on a grid stores: rows at the saved times, and the memory of its parts for checkpoints."""
+"""Records of a run on a grid: rows at the saved times, and the checkpoint fields of its parts."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from hjprofile.solvers.stop import Stop
 
 
 class Recording(NamedTuple):
-    """What was saved on the way, with an account of the steps."""
+    """The saved states of a run, with a summary of its steps."""
 
     times: Array
     W: Array
     q: Array
     K: Array
-    stop: Stop | None  # None: went to the end
+    stop: Stop | None  # None: the run reached the end
     steps: int
     step_range: tuple[float, float]
     wall_seconds: float
 
 
 class Recorder:
-    """Rows of t, W, q and K at the times that are kept."""
+    """Rows of t, W, q and K at the saved times."""
 
     memory: tuple[str, ...] = ("kept",)
 
@@ -39,7 +39,7 @@ class Recorder:
 
     def save(self, t: float, scheme: Scheme) -> None:
         for i, value in enumerate((t, scheme.W, scheme.q, scheme.K)):
-            if self.rows == len(self.columns[i]):  # the last good state of a run that stopped after all kept times
+            if self.rows == len(self.columns[i]):  # the last good state of a run that stopped after all saved times
                 self.columns[i] = np.concatenate([self.columns[i], [value]])
             self.columns[i][self.rows] = value
         self.rows += 1
@@ -57,12 +57,12 @@ class Recorder:
 
 
 def remember(parts: Mapping[str, Any]) -> dict[str, Array]:
-    """What the parts of a run name as their memory, by "part.name"."""
+    """Return the checkpoint fields of the parts of a run, by "part.name"."""
     return {f"{part}.{name}": np.asarray(getattr(what, name)) for part, what in parts.items() for name in what.memory}
 
 
 def recall(parts: Mapping[str, Any], stored: Mapping[str, Array]) -> None:
-    """Sets the memory of the parts of a run to what was stored of it."""
+    """Set the checkpoint fields of the parts of a run to their stored values."""
     for part, what in parts.items():
         for name in what.memory:
             value, present = stored[f"{part}.{name}"], getattr(what, name)

@@ -1,4 +1,4 @@
-"""The bed below a rolling layer of finite thickness (theory, §8)."""
+"""Scheme for the bed below a rolling layer of finite thickness (theory, §8)."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from hjprofile.solvers.run import Array, Breakdown
 class WithLayer(FirstOrder):
     """The telescoping flux below a rolling layer of finite thickness, by the 2x2 model (theory, §8).
 
-    With ε the flux that is poured in, the layer is ε H thick. H lives on the cells, empty at first; K is the flux of
-    grains at the nodes in the last step, in units of ε. For ε -> 0 this is `FirstOrder`.
-    `growth` counts the grains that the layer holds as well: then the volume budget is the conservation of grains.
+    With ε the supplied flux, the thickness of the layer is ε H. H lives on the cells and is initially 0; K is the grain
+    flux at the nodes in the last step, relative to ε. For ε -> 0 the scheme is `FirstOrder`. `growth` includes the
+    grains in the layer, so the volume budget is the conservation of grains.
     """
 
     memory: tuple[str, ...] = ("q", "H", "K", "W_left", "growth", "crest_lowering")
