@@ -11,17 +11,17 @@ from hjprofile.problem.erosion import Array, ErosionLaw, Function
 from hjprofile.solvers.kernels.law import LawTable
 
 PIECE = 0.05  # width of the pieces: degree 7 leaves (PIECE/4)^8 = 6e-16
-ROOM = 0.25  # in ln(1 + q), to which the ends of a table are rounded: runs of one slope then share it
-LEAST = 1e-14  # 1 + s/offset that rounding leaves meaningful: where r is smaller yet, s no longer tells
-_Z = np.cos(np.pi * (np.arange(8) + 0.5) / 8)  # where a piece is sampled
+ROOM = 0.25  # unit of ln(1 + q) to which the ends of a table are rounded, so that runs of one slope share it
+LEAST = 1e-14  # smallest 1 + s/offset that is not rounding: s does not determine a smaller r
+_Z = np.cos(np.pi * (np.arange(8) + 0.5) / 8)  # sample points of a piece
 _FIT = np.linalg.inv(np.vander(_Z, 8, increasing=True)).T
 
 
 def law_table(law: ErosionLaw, q_least: float, q_most: float) -> LawTable:
-    """f(rho), s(rho) and rho(s) for slopes between the two, with rho = ln R(q), to rounding.
+    """Return f(rho), s(rho) and rho(s) for slopes between the two, with rho = ln R(q), to rounding.
 
-    From q = f r follow R' = 1/(f + df/drho) and, along a piece of constant I where R' q_x = -q,
-    s = q exp ∫ (1/R'(0) - 1/R')/f drho decays as exp(-x/R'(0)).
+    From q = f r follows R' = 1/(f + df/drho). Along a piece of constant I, where R' q_x = -q, s = q exp ∫ (1/R'(0) -
+    1/R')/f drho decays as exp(-x/R'(0)).
     """
     if law.name == "rational":
         empty = np.empty((0, 8))
@@ -32,6 +32,7 @@ def law_table(law: ErosionLaw, q_least: float, q_most: float) -> LawTable:
 
 @lru_cache(maxsize=8)  # by the identity of f
 def _tabulated(law_f: Function, law_R: Function, v_least: float, v_most: float) -> LawTable:
+    """Return the tables for ln(1 + q) between v_least and v_most."""
     from scipy.optimize import elementwise
 
     rho0 = float(np.log(law_R(0.0)))
@@ -78,7 +79,7 @@ def _tabulated(law_f: Function, law_R: Function, v_least: float, v_most: float) 
 
 
 def _piecewise(table: Array, start: float, x: Array) -> Array:
-    """`polynomial` of arrays, for tables of any degree."""
+    """Evaluate `polynomial` for arrays, for tables of any degree."""
     s = (x - start) / PIECE
     piece = np.clip(s.astype(int), 0, table.shape[0] - 1)
     return P.polyval(2.0 * (s - piece) - 1.0, np.moveaxis(table[piece], -1, 0), tensor=False)

@@ -1,4 +1,4 @@
-"""Bounds and budgets of a method that knows its own volume, judged at the saved times."""
+"""Bounds and budgets at the saved times, for methods with an exact volume."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ BOUNDS = ("mass_budget", "volume_budget", "minimum_principle", "l1_decay")
 
 
 class SnapshotBounds:
-    """The budgets, the minimum principle and L1 decay of `BoundsMonitor`.
+    """The budgets, the minimum principle and the L1 decay of `BoundsMonitor`.
 
-    `allowed` holds an allowance for each bound, and what it is; allowances grow with time as 1 + t. `least` is inf q of
-    the data, if it is below the least mean of a cell.
+    `allowed` holds an allowance for each bound, and its reason; allowances grow with time as 1 + t. `least` is inf q of
+    the data, if it is below the smallest mean of a cell.
     """
 
     def __init__(

@@ -25,11 +25,7 @@ TRY, LABEL, READ = 5e-4, 1.2e-6, 1.5e-3
 CORNER = 1e-3  # fraction of a panel within which a birth is assigned to a corner; a sliver would halve every step
 FLOOR = 1e-13  # smallest step, as a fraction of the end
 LEAST = 1e-15  # error of a step below which it is rounding
-MOMENT, BEYOND, LOOK = (
-    1e-11,
-    10.0,
-    100.0,
-)  # of events: part of the end, multiples of the tolerance and of `threshold`
+MOMENT, BEYOND, LOOK = 1e-11, 10.0, 100.0  # of events: part of the end; of tolerances; of `threshold`
 MOST_PANELS, MOST_EVENTS = 4000, 200  # MOST_EVENTS: at one time; each removes a kink, a panel or a label
 FARTHEST_LOOK = 1e-4  # largest interval after the end that is searched for events, as a fraction of the end
 NARROWEST_PANEL = 1e-9

@@ -25,10 +25,7 @@ NARROWEST = 1e-7  # smallest width of a panel; a profile that needs narrower one
 MOST_PENDING = 4000  # largest number of unresolved panels of one width: it doubles where a profile is rough
 TAIL = 1e-15 * POINTS**2  # rounding of the highest Chebyshev coefficients
 MISSED = 1e-11  # error of W between the points of a panel: rounding, and far below every tolerance
-MOST_DEAD, MARGIN = (
-    0.0,
-    0.02,
-)  # largest dead local position at an end of a panel, and dead width after a crop
+MOST_DEAD, MARGIN = 0.0, 0.02  # largest dead local position at an end of a panel; dead width after a crop
 TAIL_OF_DATA = 2e-14  # R near q = 0 is a polynomial, with rounding of 1e-15
 
 

@@ -30,10 +30,7 @@ TOLERANCE = 1e-12
 FINEST, COARSEST = 1e-13, 1e-4  # limits of the tolerance of steps: finer ones are below rounding
 STEPS = 1e-7  # coarsest tolerance of the steps: coarser ones save no time, and at 1e-4 they can miss a birth
 DATA = 1e-3  # error of the panels at t = 0, relative to the tolerance of steps: both runs share it
-COARSER, COARSE_STEPS = (
-    10.0,
-    1e-6,
-)  # ratio of the two tolerances for the estimate, and the largest second one
+COARSER, COARSE_STEPS = 10.0, 1e-6  # ratio of the two tolerances for the estimate; the largest second one
 BUDGET = 30.0  # allowance of a budget in tolerances, relative to its terms; 2000 random runs satisfied it
 FEWEST_STEPS = 20  # for an estimate of rounding
 ROUNDING = 1e-14  # of W of order 1, after some hundred steps; measured 7e-14 at most on the rational closed forms

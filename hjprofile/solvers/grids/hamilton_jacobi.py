@@ -67,7 +67,7 @@ class HamiltonJacobi:
         self.W[a : b + 1] = self.before[a : b + 1]
 
     def volume(self) -> float:
-        """Return the sum without node 0, whose flux is the inflow: under the telescoping flux the sum changes by K - 1."""
+        """Return the sum without node 0, whose flux is the inflow, so the telescoping flux changes it by K - 1."""
         return self.grid.dx * float(np.sum(self.W[1:]))
 
 

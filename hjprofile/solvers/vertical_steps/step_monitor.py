@@ -154,10 +154,7 @@ class StepMonitor:
     def __init__(self, law: StepLaw, grid: Grid, kept: Array, f: Function):
         self.law, self.grid, self.kept, self.f = law, grid, kept, f
         self.t, self.count = 0.0, 0
-        self.gone = (
-            0.0,
-            0.0,
-        )  # width of the last layer that left at the crest, and the time until which it is found
+        self.gone = (0.0, 0.0)  # width of the last layer that left at the crest; time until which it is found
         self.living = np.empty((0, 5))  # number, x, height, speed, width
         self.rows = np.empty((0, 5))
         self.log = np.empty((0, 5))  # time, kind, step, into, x
