@@ -2,7 +2,7 @@
 
 An event is a name and an index with a value that becomes negative: ("birth", panel), ("merge", segment between two
 shocks), ("exit", shock), ("left" or "right", shock) if a label reaches a joint across which fields are not analytic,
-and ("top", 0) if the label at x = 0 does.
+and ("crest", 0) if the label at x = 0 does.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def crossed(found: Signs, threshold: float) -> list[Event]:
     for kind in ("merge", "left", "right"):
         events += [(kind, int(k)) for k in np.flatnonzero(getattr(found, kind) < 0.0)]
     events += [("exit", found.merge.size - 1)] if found.ends[0] < 0.0 else []
-    return events + ([("top", 0)] if found.ends[1] < 0.0 else [])
+    return events + ([("crest", 0)] if found.ends[1] < 0.0 else [])
 
 
 def value(found: Signs, event: Event) -> float:
@@ -45,8 +45,8 @@ def value(found: Signs, event: Event) -> float:
     kind, i = event
     if kind == "birth":
         return float(found.fold[i])
-    if kind in ("exit", "top"):
-        return float(found.ends[int(kind == "top")])
+    if kind in ("exit", "crest"):
+        return float(found.ends[int(kind == "crest")])
     return float(getattr(found, kind)[i])
 
 
@@ -99,7 +99,7 @@ def passed(panels: Panels, kind: str, i: int) -> Panels:
             off[i, 0] = 0.0
         else:
             off_crest[0] = 0.0
-    if kind != "top":
+    if kind != "crest":
         power[i] = 0.0
     return replace(panels.kept(keep), off=off, power=power, off_crest=off_crest)
 
