@@ -341,7 +341,7 @@ class _Ladder:
         estimate = self._estimate(fronts)
         reason, because = f"{fronts} fronts, because their error falls with their square", None
         if fronts == self.first:
-            reason = f"{fronts} fronts, because no fewer tell what their error is"
+            reason = f"{fronts} fronts, the smallest number for which the error can be estimated"
         elif search.failed:
             reason, because = f"{fronts} fronts", search.failed[-1]
         if search.offer(run, reason, estimate, because):

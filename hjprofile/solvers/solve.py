@@ -144,7 +144,7 @@ def solve_characteristics(
     >>> import hjprofile as hj
     >>> problem = hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0)
     >>> run = hj.solve_characteristics(problem)
-    >>> run.error_estimate < 1e-11
+    >>> bool(run.error_estimate < 1e-11)
     True
     """
     instance("problem", problem, Problem)

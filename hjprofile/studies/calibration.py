@@ -353,8 +353,8 @@ def _covariance(jacobian: Array, names: Sequence[str]) -> tuple[Array, Array, li
         if len(involved) == 1:  # it has no effect, which is reported above
             continue
         blind.append(
-            (involved, f"{names[i]} and {names[j]} cannot be told apart by these surveys: a change of one undoes that "
-             "of the other; keep one of them fixed")
+            (involved, f"{names[i]} and {names[j]} cannot be distinguished by these surveys: a change of one "
+             "undoes that of the other; keep one of them fixed")
         )  # fmt: skip
     floor = np.maximum(singular, 1e-12)
     inverse = (rows.T / floor**2) @ rows

@@ -160,7 +160,7 @@ def gentle(tmp_path):
 def test_two_that_cannot_be_told_apart_are_named(gentle, coarse):
     path, x, height = gentle
     found = hj.fit(path, x, height, ["time.end", "profile.length"])
-    assert "time.end and profile.length cannot be told apart" in found.warnings[0]
+    assert "time.end and profile.length cannot be distinguished" in found.warnings[0]
     assert all(np.isnan([p.low, p.high]).all() for p in (*found.parameters, found.volume))
     assert found.correlation[0, 1] < -0.999
     end, length = (p.value for p in found.parameters)
