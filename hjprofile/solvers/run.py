@@ -41,7 +41,7 @@ class State(NamedTuple):
     speed: float  # largest K f' in the last steps
     bound: float  # of K f' in the last steps
     dt: float  # length of the last steps; 0 before the first
-    growth: float  # ∫(K(left) - 1) dt so far: toe outflow less supply
+    toe_gain: float  # ∫(K(left) - 1) dt so far: toe outflow less supply
     crest_lowering: float  # ∫F(x = 0) dt so far
     volume: Callable[[], float]  # ∫(u - x) dx by the method's own sum
     K: Array | None = None  # K at these nodes, if it is prescribed or frozen
@@ -70,10 +70,10 @@ class Monitor(Protocol):
     """An observer of a run: of its first state, its last, and those in between that it requests.
 
     Attributes:
-        memory: names of the attributes that a checkpoint must store: numbers, tuples of numbers, arrays.
+        checkpoint_fields: names of the attributes that a checkpoint must store: numbers, tuples of numbers, arrays.
     """
 
-    memory: tuple[str, ...]
+    checkpoint_fields: tuple[str, ...]
 
     def wants(self, state: State) -> bool:
         """Return True to observe this state."""

@@ -131,11 +131,11 @@ def solve_together(first: Problem, second: Problem, grid: Grid) -> tuple[Path, P
             steps = max(1, math.ceil(remaining * bound / (DEFAULT_CFL * schemes[0].cfl_limit * grid.dx)))
             batch = min(steps, *(one.factor.steps for one in schemes))
             dt = remaining / steps
-            met = max([one.advance(dt, batch, bound) for one in schemes])
-            if bound < met < np.inf:  # repeat with shorter steps
+            largest_speed = max([one.advance(dt, batch, bound) for one in schemes])
+            if bound < largest_speed < np.inf:  # repeat with shorter steps
                 for one in schemes:
-                    one.restore()
-                speed = met
+                    one.roll_back()
+                speed = largest_speed
                 continue
             t = float(target) if batch == steps else t + batch * dt
             speed = evaluate()

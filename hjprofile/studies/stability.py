@@ -101,7 +101,7 @@ class _Laboratory(FirstOrder):
         rate = partial(self._rate, bound=bound)
         # with forward Euler steps all edges except the monotone ones are unstable
         q = self.q + dt * rate(self.q) if self.edges == "monotone" else ssp_rk2(self.q, rate, dt)
-        self.growth += dt * (float(self.K[0]) - 1.0)  # by the current K
+        self.toe_gain += dt * (float(self.K[0]) - 1.0)  # by the current K
         self.crest_lowering += self.grid.dx * float(np.sum(self.q) - np.sum(q))
         self.q = q
         return bound
@@ -190,7 +190,7 @@ def _refresh(data: _Data) -> Iterator[Row]:
         scheme = _Laboratory(data, refresh=steps)
         before = scheme.volume()
         outcome, detail = _attempt(scheme, data, SAFE, MONOTONE)
-        off = abs(before - scheme.volume() - scheme.growth)
+        off = abs(before - scheme.volume() - scheme.toe_gain)
         yield ROBUST_METHOD, "refresh", float(steps), outcome, f"{detail}; volume off by {off:.3g}", np.nan
 
 
@@ -292,7 +292,7 @@ def _attempt(
             bound = viscosity * fastest
             dt = number * grid.dx / fastest
             bounds.observe(
-                State(t, taken, first, q, scheme.law.kernel, fastest, bound, dt, scheme.growth, scheme.crest_lowering,
+                State(t, taken, first, q, scheme.law.kernel, fastest, bound, dt, scheme.toe_gain, scheme.crest_lowering,
                       scheme.volume)
             )  # fmt: skip
             grown = float(np.abs(np.diff(q)).sum()) - bounds.variation - bounds.growth_allowed
@@ -325,12 +325,12 @@ def _roughen(scheme: Scheme, saw: float) -> None:
     teeth = saw * np.where(np.arange(n) % 2, 1.0, -1.0)
     teeth[:2] = teeth[-2:] = 0.0
     for name in ("q", "state", "W"):
-        if name in scheme.memory:
+        if name in scheme.checkpoint_fields:
             state = getattr(scheme, name)
             dx = float(scheme.grid.dx)  # type: ignore[attr-defined]
             state += teeth if state.size == n else np.append(0.0, np.cumsum(teeth) * dx)
             break
-    if "active" in scheme.memory:
+    if "active" in scheme.checkpoint_fields:
         scheme.active = 0, getattr(scheme, name).size - 1  # type: ignore[attr-defined]
 
 

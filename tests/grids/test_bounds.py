@@ -92,7 +92,7 @@ def lost_at_the_top(scheme):
 
 
 def lost_at_the_foot(scheme):
-    scheme.growth += 1e-6
+    scheme.toe_gain += 1e-6
 
 
 def spike(scheme):
@@ -174,7 +174,7 @@ def test_a_frozen_step_allows_for_K_of_the_next_node():
     monitor.observe(
         State(
             t=0.1, steps=BoundsMonitor.FROZEN_STEPS, first=0, q=q, law=Rational(), speed=4.0, bound=4.0,
-            dt=grid.dx / 4.0, growth=0.0, crest_lowering=0.0, volume=lambda: 0.0, K=K,
+            dt=grid.dx / 4.0, toe_gain=0.0, crest_lowering=0.0, volume=lambda: 0.0, K=K,
         )
     )  # fmt: skip
     assert monitor.bounds["flux_maximum"].worst_margin == 1.0

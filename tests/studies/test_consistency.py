@@ -113,7 +113,7 @@ def turns_red(fault, monkeypatch):
     kernel, *changes = FAULTY_KERNELS[fault]
     where = hancock if hasattr(hancock, kernel) else wavefront
     monkeypatch.setattr(where, kernel, mutated(getattr(where, kernel), *changes))
-    monkeypatch.setattr(march, "PATIENCE", 0)  # with a wrong K some would take millions of steps
+    monkeypatch.setattr(march, "STEPS_BEFORE_FLOOR", 0)  # with a wrong K some would take millions of steps
     with np.errstate(all="ignore"):
         assert failures()
 
@@ -270,7 +270,7 @@ def test_a_fault_shows_on_a_survey_too(fault, survey, monkeypatch):
     case = hj.load_case(survey)
     where = hancock if hasattr(hancock, kernel) else wavefront
     monkeypatch.setattr(where, kernel, mutated(getattr(where, kernel), *changes))
-    monkeypatch.setattr(march, "PATIENCE", 0)
+    monkeypatch.setattr(march, "STEPS_BEFORE_FLOOR", 0)
     with np.errstate(all="ignore"):
         assert failures(case.problem, case.grid)
 

@@ -101,12 +101,12 @@ class MovingLabels(Solution):
 
     def advance(self, target: float) -> None:
         """Advance to the time `target`. Raise Lost if that fails."""
-        idle = 0
+        stalled = 0
         while self.now.t < target and not self.flat:
             before = self.now.t
             self._step(target)
-            idle = idle + 1 if self.now.t == before else 0
-            if idle > MOST_EVENTS:
+            stalled = stalled + 1 if self.now.t == before else 0
+            if stalled > MOST_EVENTS:
                 raise Lost(Stop(Reason.LABELS_LOST, f"more than {MOST_EVENTS} events fall on one moment"))
         if self.flat:
             self.now.t = target

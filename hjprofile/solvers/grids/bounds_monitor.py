@@ -59,20 +59,23 @@ STOPPING = ("mass_budget", "volume_budget")  # if a method satisfies them to rou
 class BoundsMonitor:
     """Worst margin of each bound that a method guarantees, with its time and position.
 
-    With q(0) the data, q⁺ and q⁻ their positive and negative parts: mass_budget: ∫q changes by the inflow less the
-    lowering of the crest. volume_budget: the eroded volume is ∫(K(left) - 1) dt (§6g): to rounding if the flux
-    telescopes, else within
-        dx ∫∫ (K f² + max(K f') |q_x|) dx dt, the first-order difference between Σ F dx and K(left) - 1.
-    minimum_principle: q >= min(inf q(0), 0). signs: q of one sign at t = 0 retains its sign. l1_decay: ‖q‖₁ does not
-    increase. factor_bounds: -f'(inf q(0)) ‖q⁻‖₁ <= ln K <= f'(0) ‖q⁺‖₁; the margin is the unused fraction. upper_bound:
-    q/f(q) <= sup(q(0)/f(q(0)) + W(0)) + ‖q⁻‖₁ [qBound]; the margin is the unused fraction of the
-        excess over 1/f'(0).
-    tv_growth: TV(q) grows by ∫ TV(K f²) dt at most; the margin is the unused fraction. flux_maximum, flux_variation,
-    kruzkov: with K frozen at a state, a step of the method's own length
-        does not raise sup|F| or TV(F) [decay_sup_flux, decay_tv_flux], and it preserves the order of states, which is
-        Kružkov's inequality: |H(q) - H(α)| <= H(max(q, α)) - H(min(q, α)) for the step H and a constant α.
-        With a coefficient that does not depend on t, neither may grow over the whole run (except for lax-friedrichs,
-        whose viscosity changes).
+    With q(0) the data, q⁺ and q⁻ their positive and negative parts:
+
+    - mass_budget: ∫q changes by the inflow less the lowering of the crest.
+    - volume_budget: the eroded volume is ∫(K(left) - 1) dt (§6g): to rounding if the flux telescopes, else within
+      dx ∫∫ (K f² + max(K f') |q_x|) dx dt, the first-order difference between Σ F dx and K(left) - 1.
+    - minimum_principle: q >= min(inf q(0), 0).
+    - signs: q of one sign at t = 0 retains its sign.
+    - l1_decay: ‖q‖₁ does not increase.
+    - factor_bounds: -f'(inf q(0)) ‖q⁻‖₁ <= ln K <= f'(0) ‖q⁺‖₁; the margin is the unused fraction.
+    - upper_bound: q/f(q) <= sup(q(0)/f(q(0)) + W(0)) + ‖q⁻‖₁ [qBound]; the margin is the unused fraction of the
+      excess over 1/f'(0).
+    - tv_growth: TV(q) grows by ∫ TV(K f²) dt at most; the margin is the unused fraction.
+    - flux_maximum, flux_variation, kruzkov: with K frozen at a state, a step of the method's own length
+      does not raise sup|F| or TV(F) [decay_sup_flux, decay_tv_flux], and it preserves the order of states, which is
+      Kružkov's inequality: |H(q) - H(α)| <= H(max(q, α)) - H(min(q, α)) for the step H and a constant α.
+      With a coefficient that does not depend on t, neither may grow over the whole run (except for lax-friedrichs,
+      whose viscosity changes).
 
     With a prescribed coefficient, and with a frozen K, only FOR_ANY_FACTOR are monitored. Bounds that hold to first
     order have an additional allowance of dx TV(q). With an inflow only the budgets and the smallest q are monitored.
@@ -83,7 +86,7 @@ class BoundsMonitor:
 
     STEPS, SHARE = 1024, 1 / 8  # between two observations: steps, or fraction of the run
     FROZEN_STEPS = 16384
-    memory: tuple[str, ...] = (
+    checkpoint_fields: tuple[str, ...] = (
         "worst", "t", "looked", "froze", "rate", "budget_error", "budget_allowance", "norm", "growth_allowed",
         "eroded_volume", "toe_outflow", "crest_lowering", "swell", "first_volume", "flux_seen",
     )  # fmt: skip
@@ -147,12 +150,12 @@ class BoundsMonitor:
 
         rounding = ROUNDING * (self.scale + state.crest_lowering + self.inflow * t)
         smear = dx * variation
-        self.crest_lowering, self.toe_outflow = state.crest_lowering, t + state.growth
+        self.crest_lowering, self.toe_outflow = state.crest_lowering, t + state.toe_gain
         self._record("mass_budget", rounding, mass - self.mass + state.crest_lowering - self.inflow * t)
         self.eroded_volume = self.first_volume - state.volume()
-        off = abs(self.eroded_volume - state.growth)
+        off = abs(self.eroded_volume - state.toe_gain)
         self.budget_error = max(self.budget_error, off)
-        small = ROUNDING * (1.0 + abs(state.growth) + t + abs(self.first_volume))
+        small = ROUNDING * (1.0 + abs(state.toe_gain) + t + abs(self.first_volume))
         exactly = self.promises.get("volume_budget") == EXACT
         self._record("volume_budget", small + (0.0 if exactly else self.budget_allowance), off)
 

@@ -27,24 +27,24 @@ class Factor:
     Attributes:
         coefficient: k(t, x), or None for the nonlocal K.
         refresh: refresh interval of a frozen K (theory, §10); None if K is computed in every step.
-        held: the frozen K at the nodes, shape (cells + 1,); empty if none is frozen.
+        frozen_K: the frozen K at the nodes, shape (cells + 1,); empty if none is frozen.
     """
 
     def __init__(self, grid: Grid, coefficient: Coefficient | None = None, refresh: float | None = None):
         self.grid, self.coefficient, self.refresh = grid, coefficient, refresh
-        self.t, self.held = 0.0, NOTHING
+        self.t, self.frozen_K = 0.0, NOTHING
         if coefficient is not None and coefficient.steady:
-            self.held = coefficient.values(0.0, grid.nodes)
+            self.frozen_K = coefficient.values(0.0, grid.nodes)
 
     @property
-    def memory(self) -> tuple[str, ...]:
-        """What a checkpoint has to keep."""
-        return ("held",) if self.refresh else ()
+    def checkpoint_fields(self) -> tuple[str, ...]:
+        """The checkpoint fields."""
+        return ("frozen_K",) if self.refresh else ()
 
     @property
     def steps(self) -> int:
         """The most steps that may be taken at once."""
-        varies = self.coefficient is not None and not self.held.size
+        varies = self.coefficient is not None and not self.frozen_K.size
         return min(LANES, max(1, MOST_VALUES // self.grid.cells)) if varies else LANES
 
     def given(self, after: Any = 0.0, nodes: slice = EVERYWHERE) -> Array | None:
@@ -53,8 +53,8 @@ class Factor:
         The shape is (times, nodes), or (1, nodes) if K is the same at all times. Raise Halt if K is not a positive
         number.
         """
-        if self.held.size:
-            return self.held[None, nodes]
+        if self.frozen_K.size:
+            return self.frozen_K[None, nodes]
         if self.coefficient is None:
             return None
         try:
@@ -70,8 +70,8 @@ class Factor:
         k = self.given(after)
         if k is None:
             return Nonlocal(), 0.0
-        idle = max(float(k[:, : first + 1].max()), float(k[:, last + 1 :].max(initial=0.0)))
-        speed = idle * float(law.derivative(np.zeros(1))[0])
+        speed_outside = max(float(k[:, : first + 1].max()), float(k[:, last + 1 :].max(initial=0.0)))
+        speed = speed_outside * float(law.derivative(np.zeros(1))[0])
         return Given(np.ascontiguousarray(k[:, first : last + 1])), speed
 
     def fill(self, law: GridLaw, q: Array, K: Array) -> tuple[GridLaw, float]:

@@ -31,7 +31,7 @@ def solve_on_grid(
     tracker = KinkTracker(problem.law, grid, extension.hidden) if extension else KinkTracker(problem.law, grid)
     watching: dict[str, Monitor] = {"bounds": bounds, "kinks": tracker, **(extension.monitors if extension else {})}
     case = resolved_case(problem, grid, method.name, cfl, refresh=scheme.factor.refresh)
-    record = march(scheme, problem, grid, cfl, watching, progress, tracker.happened, keeper, identity)
+    record = march(scheme, problem, grid, cfl, watching, progress, tracker.kinks_changed, keeper, identity)
     kinks, events = tracker.result(record.times)
     u = record.W
     u += grid.nodes

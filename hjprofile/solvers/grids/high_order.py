@@ -16,7 +16,7 @@ from hjprofile.problem.grid import Grid
 from hjprofile.solvers.grids.factor import Factor
 from hjprofile.solvers.grids.grid_law import GridLaw
 from hjprofile.solvers.grids.kernels import grid_loops as kernels
-from hjprofile.solvers.grids.scheme import BESIDE, Restorable
+from hjprofile.solvers.grids.scheme import HALO, WithRollback
 from hjprofile.solvers.run import Array, Breakdown
 
 Rate = Callable[[Array], Array]
@@ -61,10 +61,10 @@ ORDERS: Mapping[str, Order] = MappingProxyType(
 )
 
 
-class HighOrder(Restorable):
+class HighOrder(WithRollback):
     """A scheme of the method of lines on the active part of the grid."""
 
-    memory: tuple[str, ...] = ("state", "active", "growth", "crest_lowering")
+    checkpoint_fields: tuple[str, ...] = ("state", "active", "toe_gain", "crest_lowering")
 
     def __init__(self, law: GridLaw, grid: Grid, state: Array, order: str, inflow: float, factor: Factor | None = None):
         self.law, self.grid, self.order, self.inflow = law, grid, ORDERS[order], inflow
@@ -72,7 +72,7 @@ class HighOrder(Restorable):
         self.cfl_limit = self.order.cfl_limit
         self.state = state.copy()
         self.q, self.K = np.empty(grid.cells), np.ones(grid.cells + 1)
-        self.growth = self.crest_lowering = 0.0
+        self.toe_gain = self.crest_lowering = 0.0
         self.active = self._flat_ends(0, self.state.size - 1)
 
     def _means(self, state: Array) -> Array:
@@ -96,7 +96,7 @@ class HighOrder(Restorable):
 
     def means(self) -> tuple[int, Array]:
         nodes = self.state.size - self.grid.cells
-        a, b = max(self.active[0] - BESIDE, 0), min(self.active[1] + 1 + BESIDE, self.grid.cells)
+        a, b = max(self.active[0] - HALO, 0), min(self.active[1] + 1 + HALO, self.grid.cells)
         self.q[a:b] = self._means(self.state[a : b + nodes])
         return a, self.q[a:b]
 
@@ -126,7 +126,7 @@ class HighOrder(Restorable):
         return speed
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
-        self.keep()
+        self.save()
         self.state = self.state.copy()
         return max(self._step(dt, step * dt) for step in range(steps))
 
@@ -137,7 +137,7 @@ class HighOrder(Restorable):
         a, b = max(self.active[0] - reach, 0), min(self.active[1] + 1 + reach, cells)
         inflow = self.inflow if a == 0 else 0.0
         K = np.ones(b - a + 1)
-        idle = self.factor.window(self.law, np.array([start]), a, b)[1]
+        speed_outside = self.factor.window(self.law, np.array([start]), a, b)[1]
         speeds: list[float] = []
 
         def rate(y: Array) -> Array:
@@ -146,14 +146,14 @@ class HighOrder(Restorable):
                 raise Breakdown(q, K, a)
             F, edges = self._fluxes(q, inflow, K, self.factor.given(start + y[-1], slice(a, b + 1)))
             if not speeds:  # of states, not of stages
-                speeds.append(max(self._speed(q, edges, K, a), idle))
+                speeds.append(max(self._speed(q, edges, K, a), speed_outside))
             return np.concatenate([self._rate(F), [K[0] - 1.0, F[-1], 1.0]])
 
         part = slice(a, b + nodes)
         # the last entry is the time, so each stage has its own
-        y = self.order.step(np.concatenate([self.state[part], [self.growth, self.crest_lowering, 0.0]]), rate, dt)
+        y = self.order.step(np.concatenate([self.state[part], [self.toe_gain, self.crest_lowering, 0.0]]), rate, dt)
         self.state[part] = y[:-3]
-        self.growth, self.crest_lowering = float(y[-3]), float(y[-2])
+        self.toe_gain, self.crest_lowering = float(y[-3]), float(y[-2])
         self.active = self._flat_ends(a, b + nodes - 1)
         return speeds[0]
 

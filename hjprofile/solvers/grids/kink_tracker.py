@@ -82,7 +82,7 @@ class KinkTracker:
     steps.
     """
 
-    memory: tuple[str, ...] = ("table",)
+    checkpoint_fields: tuple[str, ...] = ("table",)
 
     def __init__(
         self, law: ErosionLaw, grid: Grid, hidden: Callable[[State], Sequence[tuple[float, float]]] = lambda state: ()
@@ -94,7 +94,7 @@ class KinkTracker:
     def wants(self, state: State) -> bool:
         return True
 
-    def happened(self, state: State) -> bool:
+    def kinks_changed(self, state: State) -> bool:
         """Return True if the number of kinks has changed since the last observation."""
         return len(self._look(state)) != len(self.frames[-1][1])
 

@@ -25,10 +25,10 @@ from hjprofile.solvers.run import Array, Breakdown, Halt, Keeper, Monitor, State
 from hjprofile.solvers.stop import ROBUST_METHOD, Place, Reason, Stop, Stopped, Time
 
 STEP_FLOOR = 1e-9  # smallest time step as a fraction of the end of the run: shorter ones would take days
-PATIENCE = 20_000  # steps before STEP_FLOOR applies: the first ones can be shorter, because K falls and hollows fill
+STEPS_BEFORE_FLOOR = 20_000  # steps before STEP_FLOOR applies; the first ones can be shorter, as K falls
 SMALL_CFL = 0.3  # below it short time steps are the choice of the user
-MOST_WAY = 1 / 32  # largest motion between two observed states, as a fraction of the cells
-CLOSE_WAY = 3e-3  # the same where a monitor dates an event
+LARGEST_MOTION = 1 / 32  # largest motion between two observed states, as a fraction of the cells
+CLOSE_MOTION = 3e-3  # the same where a monitor dates an event
 MARGIN = 0.01  # relative increase of the speed that a batch allows, in addition to 1.5 times the last increase
 NOBODY: Mapping[str, Any] = MappingProxyType({})
 
@@ -48,12 +48,12 @@ class _Pace:
     longest: float = 0.0
     speed: float = 0.0  # last measured K f'
     rise: float = 0.0  # relative increase of the speed from the previous batch of steps to this one
-    outgrown: float = 0.0  # speed that exceeded the bound of a rejected batch
+    rejected_speed: float = 0.0  # speed that exceeded the bound of a rejected batch
     most: int = MOST_STEPS  # steps in the next batch
     close_until: float = 0.0  # time up to which batches are short
 
-    memory: ClassVar[tuple[str, ...]] = (
-        "t", "steps", "seconds", "shortest", "longest", "speed", "rise", "outgrown", "most", "close_until",
+    checkpoint_fields: ClassVar[tuple[str, ...]] = (
+        "t", "steps", "seconds", "shortest", "longest", "speed", "rise", "rejected_speed", "most", "close_until",
     )  # fmt: skip
 
 
@@ -78,13 +78,13 @@ class _Watchers:
 
     def __init__(self, monitors: Mapping[str, Monitor], progress: Callable[[float], None] | None):
         self.monitors, self.progress = monitors, progress
-        self.looked = dict.fromkeys(monitors, -1.0)  # the last observation time of each
+        self.observed_at = dict.fromkeys(monitors, -1.0)  # the last observation time of each
 
     def show(self, state: State, fraction: float, every: bool) -> None:
         """Show a state to the monitors that request it, or to `every` monitor."""
         for name, monitor in self.monitors.items():
             if every or monitor.wants(state):
-                self.looked[name] = state.t
+                self.observed_at[name] = state.t
                 monitor.observe(state)
         if self.progress:
             self.progress(fraction)
@@ -92,7 +92,7 @@ class _Watchers:
     def show_last(self, state: State) -> None:
         """Show a state to the monitors that have not observed it, so that all results refer to the last good state."""
         for name, monitor in self.monitors.items():
-            if self.looked[name] < state.t:
+            if self.observed_at[name] < state.t:
                 monitor.observe(state)
 
 
@@ -113,12 +113,12 @@ class March:
         self.scheme, self.problem, self.grid, self.cfl, self.watchers = scheme, problem, grid, cfl, watchers
         self.factor = scheme.factor
         self.recorder, self.pace = Recorder(problem.kept, grid), _Pace()
-        self.targets, self.renewals = _targets(problem, self.factor.refresh)
-        self.close_leap = max(6, int(grid.cells * CLOSE_WAY))
-        self.longest_leap = min(MOST_STEPS, max(1, int(grid.cells * MOST_WAY)), self.factor.steps)
+        self.targets, self.refresh_times = _targets(problem, self.factor.refresh)
+        self.close_leap = max(6, int(grid.cells * CLOSE_MOTION))
+        self.longest_leap = min(MOST_STEPS, max(1, int(grid.cells * LARGEST_MOTION)), self.factor.steps)
         self.batch = _Batch(0.0, 0, 0.0, 0.0, False)  # the last batch
-        self.held = self.factor.held  # frozen K before the last batch
-        self.renewed = 0.0  # largest K f' with the K that was refreshed at the end of the batch
+        self.frozen_before = self.factor.frozen_K  # frozen K before the last batch
+        self.refreshed_speed = 0.0  # largest K f' with the K that was refreshed at the end of the batch
 
     @property
     def parts(self) -> dict[str, Any]:
@@ -129,7 +129,7 @@ class March:
     def start(self) -> None:
         """Evaluate the data. Raise Stopped if the run cannot start."""
         try:
-            self.pace.speed = self._renew() if self.factor.refresh else self.scheme.evaluate()
+            self.pace.speed = self._refresh() if self.factor.refresh else self.scheme.evaluate()
         except Breakdown as broken:
             raise Stopped(_no_start(broken, self.grid)) from None
         self.scheme.advance(0.0, 1, self.pace.speed)  # compiles the loops
@@ -147,18 +147,18 @@ class March:
         self.factor.t = self.pace.t
         self.scheme.evaluate()
 
-    def run(self, happened: Callable[[State], bool], keeper: Keeper | None) -> Stop | None:
+    def run(self, kinks_changed: Callable[[State], bool], keeper: Keeper | None) -> Stop | None:
         """Advance to the end, or until the run stops; return the reason in that case."""
         pace = self.pace
         try:
             for target in self.targets[self.targets > pace.t].tolist():
-                self._go_to(target, happened, keeper)
+                self._go_to(target, kinks_changed, keeper)
         except Breakdown as broken:
-            self._back()
+            self._roll_back()
             pace.speed = self.scheme.evaluate()
             return _breakdown(broken, self)
         except Halt as halt:
-            self._back()
+            self._roll_back()
             self.scheme.evaluate()
             return Stop(halt.stop.reason, "stopped at t = {t:.6g}: {why}", values={"t": Time(pace.t), "why": halt.stop})
         except _StepTooSmall:
@@ -175,11 +175,11 @@ class March:
         with suppress(Halt, Breakdown):
             self.watchers.show_last(self._state(pace.t, pace.steps, pace.speed))
 
-    def _go_to(self, target: float, happened: Callable[[State], bool], keeper: Keeper | None) -> None:
+    def _go_to(self, target: float, kinks_changed: Callable[[State], bool], keeper: Keeper | None) -> None:
         """Advance to a time that is hit exactly. Raise Breakdown, Halt, _StepTooSmall."""
         while self.pace.t < target:
             self.batch = self._choose(target)
-            state = self._advance(happened)
+            state = self._advance(kinks_changed)
             if state is not None:
                 self._accept(state)
                 if keeper and keeper.due():
@@ -188,7 +188,7 @@ class March:
     def _choose(self, target: float) -> _Batch:
         """Return the largest allowed batch, with a step length for a speed slightly above the last one."""
         pace, problem = self.pace, self.problem
-        bound = max(pace.speed * (1.0 + MARGIN + 1.5 * pace.rise), pace.outgrown * (1.0 + MARGIN))
+        bound = max(pace.speed * (1.0 + MARGIN + 1.5 * pace.rise), pace.rejected_speed * (1.0 + MARGIN))
         dt = self.cfl * self.scheme.cfl_limit * self.grid.dx / bound
         remaining = target - pace.t
         needed = max(1, math.ceil(remaining / dt * (1.0 - 1e-12)))
@@ -196,40 +196,40 @@ class March:
             dt = remaining / needed
         steps = min(needed, pace.most, self.close_leap if pace.t < pace.close_until else MOST_STEPS)
         batch = _Batch(dt, steps, bound, target, steps == needed)
-        if needed > pace.most and dt < STEP_FLOOR * problem.end and (pace.steps > PATIENCE or self.cfl > 1.0):
+        if needed > pace.most and dt < STEP_FLOOR * problem.end and (pace.steps > STEPS_BEFORE_FLOOR or self.cfl > 1.0):
             self.batch = batch
             raise _StepTooSmall
         return batch
 
-    def _advance(self, happened: Callable[[State], bool]) -> State | None:
+    def _advance(self, kinks_changed: Callable[[State], bool]) -> State | None:
         """Return the state after the batch, or None if the batch was rolled back. Raise Breakdown, Halt."""
         batch, pace, factor = self.batch, self.pace, self.factor
-        started, self.held = time.perf_counter(), factor.held
+        started, self.frozen_before = time.perf_counter(), factor.frozen_K
         try:
-            met = self.scheme.advance(batch.dt, batch.steps, batch.bound)
+            largest_speed = self.scheme.advance(batch.dt, batch.steps, batch.bound)
             pace.seconds += time.perf_counter() - started
-            if batch.bound < met < np.inf and (self.cfl <= 1.0 or batch.steps > 1):
-                self._back()
+            if batch.bound < largest_speed < np.inf and (self.cfl <= 1.0 or batch.steps > 1):
+                self._roll_back()
                 if self.cfl <= 1.0:
-                    pace.outgrown = met
+                    pace.rejected_speed = largest_speed
                 else:  # no bound is guaranteed; each step uses the speed before it, and shows the consequence
                     pace.most = max(1, batch.steps // 4)
                 return None
             factor.t = batch.target if batch.arrives else pace.t + batch.steps * batch.dt
-            if batch.arrives and batch.target in self.renewals:
-                self.renewed = self._renew()
-            state = self._state(factor.t, pace.steps + batch.steps, met)
-            if not met < np.inf:
+            if batch.arrives and batch.target in self.refresh_times:
+                self.refreshed_speed = self._refresh()
+            state = self._state(factor.t, pace.steps + batch.steps, largest_speed)
+            if not largest_speed < np.inf:
                 raise Breakdown(state.q, np.full(1, np.inf), state.first)
         except Breakdown:
             if batch.steps == 1:
                 raise
-            self._back()  # repeat in smaller batches to locate the breakdown
+            self._roll_back()  # repeat in smaller batches to locate the breakdown
             pace.most = max(1, batch.steps // 4)
             return None
-        if batch.steps > self.close_leap and happened(state):
+        if batch.steps > self.close_leap and kinks_changed(state):
             pace.close_until = state.t
-            self._back()
+            self._roll_back()
             return None
         return state
 
@@ -238,25 +238,25 @@ class March:
         batch, pace = self.batch, self.pace
         self._show(state, every=batch.arrives and batch.target == self.targets[-1])
         pace.rise = min(max(state.speed / pace.speed - 1.0, 0.0), 1.0)
-        pace.t, pace.steps, pace.speed, pace.outgrown = state.t, state.steps, state.speed, 0.0
+        pace.t, pace.steps, pace.speed, pace.rejected_speed = state.t, state.steps, state.speed, 0.0
         pace.most = min(2 * pace.most, self.longest_leap)
         pace.shortest, pace.longest = min(pace.shortest, batch.dt), max(pace.longest, batch.dt)
         if pace.t == batch.target:
-            if batch.target in self.renewals:
-                pace.speed = max(pace.speed, self.renewed)
+            if batch.target in self.refresh_times:
+                pace.speed = max(pace.speed, self.refreshed_speed)
             if batch.target in self.problem.times:
                 self._store()
 
-    def _back(self) -> None:
+    def _roll_back(self) -> None:
         """Return to the state before the last batch."""
-        self.scheme.restore()
-        self.factor.t, self.factor.held = self.pace.t, self.held
+        self.scheme.roll_back()
+        self.factor.t, self.factor.frozen_K = self.pace.t, self.frozen_before
 
-    def _renew(self) -> float:
+    def _refresh(self) -> float:
         """Refresh the frozen K; return the largest K f'."""
-        self.factor.held = NOTHING
+        self.factor.frozen_K = NOTHING
         speed = self.scheme.evaluate()
-        self.factor.held = self.scheme.K.copy()
+        self.factor.frozen_K = self.scheme.K.copy()
         return speed
 
     def _state(self, t: float, steps: int, speed: float) -> State:
@@ -268,7 +268,7 @@ class March:
         scheme.law = scheme.law.covering(q)
         K = self.factor.given(nodes=slice(first, first + q.size + 1))
         return State(
-            t, steps, first, q, scheme.law.kernel, speed, self.batch.bound, self.batch.dt, scheme.growth,
+            t, steps, first, q, scheme.law.kernel, speed, self.batch.bound, self.batch.dt, scheme.toe_gain,
             scheme.crest_lowering, scheme.volume, None if K is None else K[0],
         )  # fmt: skip
 
@@ -285,14 +285,14 @@ class March:
 def march(
     scheme: Scheme, problem: Problem, grid: Grid, cfl: float,
     monitors: Mapping[str, Monitor] = NOBODY, progress: Callable[[float], None] | None = None,
-    happened: Callable[[State], bool] = lambda state: False,
+    kinks_changed: Callable[[State], bool] = lambda state: False,
     keeper: Keeper | None = None, identity: Mapping[str, Any] = NOBODY,
 ) -> Recording:  # fmt: skip
     """Run `scheme` to the end of the problem; call `progress` with the completed fraction.
 
-    If `happened` returns True for a new state, the steps since the last state are repeated in small batches. A keeper
-    stores checkpoints, and the run continues from the stored one with the same `identity`. Raise RunError if the run
-    cannot start, or if it was interrupted.
+    If `kinks_changed` returns True for a new state, the steps since the last state are repeated in small batches. A
+    keeper stores checkpoints, and the run continues from the stored one with the same `identity`. Raise RunError if the
+    run cannot start, or if it was interrupted.
     """
     one = March(scheme, problem, grid, cfl, _Watchers(monitors, progress))
     one.start()
@@ -301,7 +301,7 @@ def march(
             one.recall(stored)
         else:
             one.first_state()
-        stop = one.run(happened, keeper)
+        stop = one.run(kinks_changed, keeper)
     if stop:
         one.last_good_state()
     times, W, q, K = (column[: one.recorder.rows] for column in one.recorder.columns)

@@ -29,7 +29,7 @@ class Recording(NamedTuple):
 class Recorder:
     """Rows of t, W, q and K at the saved times."""
 
-    memory: tuple[str, ...] = ("kept",)
+    checkpoint_fields: tuple[str, ...] = ("saved_rows",)
 
     def __init__(self, times: int, grid: Grid):
         self.columns = [
@@ -45,11 +45,11 @@ class Recorder:
         self.rows += 1
 
     @property
-    def kept(self) -> Array:
+    def saved_rows(self) -> Array:
         return np.hstack([column[: self.rows].reshape(self.rows, column[0].size) for column in self.columns])
 
-    @kept.setter
-    def kept(self, rows: Array) -> None:
+    @saved_rows.setter
+    def saved_rows(self, rows: Array) -> None:
         self.rows = len(rows)
         widths = np.cumsum([1] + [column.shape[1] for column in self.columns[1:]])
         for column, part in zip(self.columns, np.split(rows, widths[:-1], axis=1), strict=True):
@@ -58,15 +58,19 @@ class Recorder:
 
 def remember(parts: Mapping[str, Any]) -> dict[str, Array]:
     """Return the checkpoint fields of the parts of a run, by "part.name"."""
-    return {f"{part}.{name}": np.asarray(getattr(what, name)) for part, what in parts.items() for name in what.memory}
+    return {
+        f"{part}.{name}": np.asarray(getattr(holder, name))
+        for part, holder in parts.items()
+        for name in holder.checkpoint_fields
+    }
 
 
 def recall(parts: Mapping[str, Any], stored: Mapping[str, Array]) -> None:
     """Set the checkpoint fields of the parts of a run to their stored values."""
-    for part, what in parts.items():
-        for name in what.memory:
-            value, present = stored[f"{part}.{name}"], getattr(what, name)
-            if isinstance(present, np.ndarray):
-                setattr(what, name, np.array(value))
+    for part, holder in parts.items():
+        for name in holder.checkpoint_fields:
+            value, current = stored[f"{part}.{name}"], getattr(holder, name)
+            if isinstance(current, np.ndarray):
+                setattr(holder, name, np.array(value))
             else:
-                setattr(what, name, tuple(value.tolist()) if isinstance(present, tuple) else value.item())
+                setattr(holder, name, tuple(value.tolist()) if isinstance(current, tuple) else value.item())

@@ -9,13 +9,13 @@ from hjprofile.solvers.grids.grid_law import GridLaw
 from hjprofile.solvers.run import Array
 
 MOST_STEPS = 64  # in one batch: the number of lanes of the sweeps
-BESIDE = 64  # cells of neutral slope on either side of the active cells, at least the width of the monitors' stencils
+HALO = 64  # cells of neutral slope on either side of the active cells, at least the width of the monitors' stencils
 
 
 class Scheme(Protocol):
     """A discretisation with its own time steps. `q` and `K` belong to the current state after `evaluate`.
 
-    `memory` names the attributes that form its state, for a checkpoint.
+    `checkpoint_fields` names the attributes that form its state, for a checkpoint.
     """
 
     @property
@@ -25,9 +25,9 @@ class Scheme(Protocol):
     factor: Factor
     q: Array
     K: Array
-    growth: float
+    toe_gain: float
     crest_lowering: float
-    memory: tuple[str, ...]
+    checkpoint_fields: tuple[str, ...]
     cfl_limit: float  # Δt max(K f')/Δx at which the scheme is still monotone (limited: total variation diminishing)
 
     def evaluate(self) -> float:
@@ -45,7 +45,7 @@ class Scheme(Protocol):
         """
         ...
 
-    def restore(self) -> None:
+    def roll_back(self) -> None:
         """Return to the state before the last `advance`."""
         ...
 
@@ -54,15 +54,15 @@ class Scheme(Protocol):
         ...
 
 
-class Restorable:
+class WithRollback:
     """A state that can be saved and rolled back. Saved arrays must not be modified in place."""
 
-    memory: tuple[str, ...]
+    checkpoint_fields: tuple[str, ...]
 
-    def keep(self) -> None:
+    def save(self) -> None:
         """Save the current state."""
-        self.kept = {name: getattr(self, name) for name in self.memory}
+        self.saved_state = {name: getattr(self, name) for name in self.checkpoint_fields}
 
-    def restore(self) -> None:
+    def roll_back(self) -> None:
         """Return to the saved state."""
-        vars(self).update(self.kept)
+        vars(self).update(self.saved_state)

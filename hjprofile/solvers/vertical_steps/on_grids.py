@@ -52,7 +52,7 @@ class SecondOrderTelescoping(FirstOrder):
         self.room = np.empty((4, grid.cells))
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
-        self.keep()
+        self.save()
         f, df, *dq = self.room
         fastest = 0.0
         for _ in range(steps):
@@ -65,7 +65,7 @@ class SecondOrderTelescoping(FirstOrder):
                 )
                 fastest = max(fastest, speed)
                 q = self.q + dt * dq[0]
-                self.growth += 0.5 * dt * (K_left - 1.0)
+                self.toe_gain += 0.5 * dt * (K_left - 1.0)
                 self.crest_lowering += 0.5 * dt * F_top
             self.q = 0.5 * (self.q + (q + dt * dq[1]))
             self.W_left -= dt * self.inflow

@@ -149,7 +149,7 @@ class StepMonitor:
     slope. A step with fewer than LEAST_LIFE sightings is caused by that threshold, and is dropped.
     """
 
-    memory: tuple[str, ...] = ("t", "count", "gone", "living", "rows", "log", "seen")
+    checkpoint_fields: tuple[str, ...] = ("t", "count", "gone", "living", "rows", "log", "seen")
 
     def __init__(self, law: StepLaw, grid: Grid, kept: Array, f: Function):
         self.law, self.grid, self.kept, self.f = law, grid, kept, f
