@@ -23,7 +23,7 @@ from hjprofile.solvers.run import Array, Event, KinkRecord, Run
 from hjprofile.solvers.snapshot_bounds import BOUNDS, SnapshotBounds
 from hjprofile.solvers.snapshots import Solution, assembled, walk
 
-ROUNDING = 1e-13  # of u of order 1; measured: at most 2e-14 for rational laws, 1e-12 for others, which the volume shows
+CLOSED_FORM_ERROR = 1e-13  # of u of order 1; measured: 2e-14 for rational laws, 1e-12 for others, as the volume shows
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ def evaluate(form: ClosedForm, problem: Problem, grid: Grid) -> Run:
     solution = _Evaluated(form, grid, np.unique(np.append(times, judged)))
     u = np.array([solution.u[t] for t in times.tolist()])
     scale = 1.0 + float(np.abs(u - grid.nodes).max())
-    allowed = dict.fromkeys(BOUNDS, (100.0 * ROUNDING * scale, "rounding"))
+    allowed = dict.fromkeys(BOUNDS, (100.0 * CLOSED_FORM_ERROR * scale, "rounding"))
     watch = SnapshotBounds(grid, float(solution.u[0.0][-1]), _volume(form, 0.0, grid), allowed)
     run = assembled("closed form", solution, walk(solution, problem, grid, watch, judged=judged), watch, problem, grid)
     return replace(
@@ -152,7 +152,7 @@ def evaluate(form: ClosedForm, problem: Problem, grid: Grid) -> Run:
         u=u,  # as the formula gives it
         q=np.diff(u, axis=1) / grid.dx - 1.0,
         wall_seconds=time.perf_counter() - started,
-        error_estimate=10.0 * max(watch.budget_error, ROUNDING * scale),
+        error_estimate=10.0 * max(watch.budget_error, CLOSED_FORM_ERROR * scale),
     )
 
 

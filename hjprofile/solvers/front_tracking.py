@@ -31,8 +31,8 @@ from hjprofile.solvers.stop import Stopped
 from hjprofile.solvers.units_of_the_law import in_units_of_the_law
 from hjprofile.solvers.vertical_steps.step_fronts import LINEAR, StepTracker
 
-MOST = 1_000_000  # largest number of fronts: the time of a run grows with its square
-ROUNDING = 1e-10  # relative, of the budgets of the exact integration; measured: 1.5e-12 on 2000 random problems
+MOST_FRONTS = 1_000_000  # largest number of fronts: the time of a run grows with its square
+BUDGET_ERROR = 1e-10  # relative, of the budgets of the exact integration; measured: 1.5e-12 on 2000 random problems
 ROUGH = 3.0  # factor of the second-order allowances; measured: at most 1.6 on 300 random problems with 50 jumps
 
 
@@ -68,7 +68,7 @@ def track_fronts(
     exact: bool | None = None,
 ) -> Run:
     """Track fronts on the half line; arguments as for `solve.track_fronts`."""
-    return _in_units(problem, grid, whole("fronts", fronts, 4, MOST), progress, exact)
+    return _in_units(problem, grid, whole("fronts", fronts, 4, MOST_FRONTS), progress, exact)
 
 
 @in_units_of_the_law
@@ -87,7 +87,7 @@ def track(
 ) -> Run:  # fmt: skip
     """Return the run of fronts after `begin`, on the half line and in units of the law."""
     tracker = begun.tracker
-    watch = SnapshotBounds(grid, begun.data.top, tracker.volume(), _allowances(begun), tracker.least())
+    watch = SnapshotBounds(grid, begun.data.W_crest, tracker.volume(), _allowances(begun), tracker.least())
     tracker.advance(0.0)  # compiles the loops
     snapshots = walk(tracker, problem, grid, watch, progress, witness)
     if not snapshots.states:
@@ -100,14 +100,14 @@ def _allowances(begun: Begun) -> dict[str, tuple[float, str]]:
     """Return the allowance of each bound, and the reason for it."""
     data = begun.data
     scale = 1.0 + float(np.abs(data.jump).sum())
-    read = ROUNDING * scale
+    read = BUDGET_ERROR * scale
     allowed = dict.fromkeys(BOUNDS, (read, "rounding"))
     if not data.kinks_only:
         second = read + ROUGH * data.area * scale
         allowed = dict.fromkeys(BOUNDS, (second, "second order in the spacing of fronts"))
         # F(0) is a sawtooth while small fronts leave, and its integral over a step is of first order
         # u changes by -∫K f dt if the volume changes by ∫K dt
-        allowed["volume_budget"] = read + (second - read) / min(data.most_eroded, 1.0), allowed["volume_budget"][1]
+        allowed["volume_budget"] = read + (second - read) / min(data.largest_f, 1.0), allowed["volume_budget"][1]
         allowed["mass_budget"] = second + math.sqrt(data.area) * scale, "first order in the spacing of fronts"
     if begun.tracker.exact:
         allowed |= dict.fromkeys(("mass_budget", "volume_budget"), (read, "rounding"))

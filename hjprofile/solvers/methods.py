@@ -63,7 +63,7 @@ FLUXES: Mapping[str, Flux] = MappingProxyType(
         )
     }
 )  # fmt: skip
-_PROMISES = {"local-lax-friedrichs": LOCAL, "telescoping": TELESCOPING}  # else MONOTONE
+_GUARANTEES = {"local-lax-friedrichs": LOCAL, "telescoping": TELESCOPING}  # else MONOTONE
 
 
 def _data(problem: Problem, grid: Grid, refresh: float | None) -> tuple[GridLaw, Array, Factor]:
@@ -115,7 +115,7 @@ def _first_order() -> Iterator[Method]:
     """Yield the methods of first order, two for each flux."""
     for flux in FLUXES.values():
         steep = flux is FLUXES["telescoping"]  # correct speed of a vertical step for any K (theory, §14)
-        promises = _PROMISES.get(flux.name, MONOTONE)
+        guarantees = _GUARANTEES.get(flux.name, MONOTONE)
         supports = ON_GRIDS | {Feature.LINEAR_GROWTH} if steep else ON_GRIDS
         about = {"flux": flux, "midpoint": True, "cfl_proved": 2 / 3 if flux.viscous else 1.0}
         for name, form, scheme in (
@@ -123,7 +123,7 @@ def _first_order() -> Iterator[Method]:
             (f"conservative-{flux.name}", Form.SLOPE, _for_slope(FirstOrder, flux)),
         ):
             carries = flux.name if form is Form.SLOPE else ""
-            method = Method(name, form, supports, Setup(scheme, promises), carries=carries, **about)  # type: ignore[arg-type]
+            method = Method(name, form, supports, Setup(scheme, guarantees), carries=carries, **about)  # type: ignore[arg-type]
             if steep:
                 method = replace(method, variants={Feature.LINEAR_GROWTH: Setup(scheme, STEEP, StepsOnGrid)})
             if steep and form is Form.SLOPE:  # this flux conserves grains exactly (theory, §8)

@@ -193,15 +193,13 @@ class Run:
             that time on.
         q: cell means of u_x - 1, shape (times, cells).
         status: "done", or a sentence with time, position, reason and remedy if the run stopped. The last saved time is
-            then
-            the last good state.
+            then the last good state.
         stop: the reason of `status` as a record; None if the run reached its end or was read from a file.
         steps, step_range: number of time steps, smallest and largest step.
         wall_seconds: of the time stepping alone, without compilation, monitoring and output.
         kinks, events: the kinks at the saved times; births, merges and exits.
         vertical_steps: the jumps of u at the saved times, with the numbers of the kinks that they come from; None if
-            the
-            law has none.
+            the law has none.
         bounds: name -> Verdict for each monitored bound and budget.
         eroded_volume: ∫(u(0,x) - u(t,x)) dx at the end.
         toe_outflow: ∫K(t, left) dt at the end, the grains that have left at the toe. It is the supply plus the eroded
@@ -212,8 +210,7 @@ class Run:
         units: conversion to the units of a survey, else None.
         account: changes of the input, and the choice of the method auto with its reason, or "".
         cautions: a sentence for each reason, other than a violated bound, to doubt the result: data that the grid or
-            the
-            fronts do not resolve, a tolerance that is not met, an output that could not be written.
+            the fronts do not resolve, a tolerance that is not met, an output that could not be written.
     """
 
     title: str

@@ -45,14 +45,14 @@ HOPELESS = 2.0  # multiple of MOST_FRONTS above which fronts are not tried if th
 FRONT_STEP, TABLE_STEP = 8e-8, 2.7e-7
 READ_FRONTS = 5e-4  # measured seconds of a saved time
 MORE = 1.25  # smallest ratio of the next number of fronts if a try misses the tolerance
-FAR, MOST_FORECAST = 8.0, 600  # largest ratio of a forecast to the tried fronts; most fronts of another pilot
+FORECAST, MOST_FORECAST = 8.0, 600  # largest ratio of a forecast to the tried fronts; most fronts of another pilot
 # Of characteristics, measured on random problems: steps tried, for all data and for each feature; labels
 TRIES, TRIES_EACH, LABELS = 30, 4.5, 160
 CORNERS = 3  # number of corners that count as one feature
 WORTH_A_TRY = 0.2  # remaining seconds of fronts: some problems with many features take few steps
 # First tolerance of characteristics, as a fraction of that of u, and its range: coarser ones save no time
 FIRST, DIGITS = 0.1, (1e-12, 1e-6)
-ROUNDING = 1e-12  # of kinks by fronts, per unit of u
+EXACT_FRONTS_ERROR = 1e-12  # of kinks by fronts, per unit of u
 MOST_CELLS = 64_000  # of a grid
 COARSE_CELLS, COARSE_TIMES = 200, 10  # smallest numbers of cells and times on which two runs are compared
 BETWEEN = 0.25, 0.5, 0.75  # fractions of the end at which runs are also compared: two wrong runs may agree later
@@ -134,8 +134,8 @@ def least_work(
         return on_grid
 
     search = _Search(units.problem(problem), units.grid(grid), tolerance / units.length, progress, units)
-    met = _closed_form(search) or (not problem.profile.inflow and _fronts_or_characteristics(search))
-    if not (met or search.done):
+    reached = _closed_form(search) or (not problem.profile.inflow and _fronts_or_characteristics(search))
+    if not (reached or search.done):
         for name, solve in fallbacks.items():
             if _on_grids(search, name, scaled(solve)):
                 break
@@ -164,7 +164,7 @@ def _fronts_or_characteristics(search: _Search) -> bool:
         run = search.attempt(lambda: track_fronts(problem, search.grid, progress=search.progress), "front tracking")
         if run is not None:
             scale = 1.0 + float(np.abs(run.u - run.x).max())
-            estimate = 10.0 * max(run.volume_budget_error, ROUNDING * scale)
+            estimate = 10.0 * max(run.volume_budget_error, EXACT_FRONTS_ERROR * scale)
             if search.offer(run, "fronts, which are exact because the data are kinks only", estimate):
                 return True
         return _characteristics(search, np.inf, "because fronts do not reach it")
@@ -184,8 +184,8 @@ def _fronts_or_characteristics(search: _Search) -> bool:
                 spent = np.inf
         if not np.isfinite(needed) or (needed > HOPELESS * MOST_FRONTS and search.done):
             break
-        met, needed = ladder.solve(needed)
-        if met:
+        reached, needed = ladder.solve(needed)
+        if reached:
             return True
     return np.isfinite(spent) and _characteristics(search, np.inf, "because fronts do not reach it")
 
@@ -284,7 +284,7 @@ class _Ladder:
         apart = max(float(np.abs(of[fronts] - of[n]).max(initial=0.0)) for of in (self.u, self.past))
         apart = max(apart, beside_kinks(self.kinks[fronts], self.kinks[n], self.few.times, length))
         self.plain[fronts] = apart / ((fronts / n) ** 2 - 1.0)
-        return max(self.safety * (1.0 + FEW / fronts) * self.plain[fronts], self.missed[fronts]) + ROUNDING
+        return max(self.safety * (1.0 + FEW / fronts) * self.plain[fronts], self.missed[fronts]) + EXACT_FRONTS_ERROR
 
     def pilot(self) -> float:
         """Return the number of fronts for the tolerance; inf if the pilot fails."""
@@ -298,7 +298,7 @@ class _Ladder:
                 self.first, self.whole = fronts, run
                 needed = self._needed(fronts)
                 while (
-                    FAR * fronts < needed <= MOST_FRONTS and 4 * fronts <= MOST_FORECAST and self._run(4 * fronts)
+                    FORECAST * fronts < needed <= MOST_FRONTS and 4 * fronts <= MOST_FORECAST and self._run(4 * fronts)
                 ):  # a far forecast
                     fronts *= 4
                     needed = self._needed(fronts)

@@ -64,8 +64,7 @@ def solve_conservative(
 
     - `problem`, `grid`, `cfl`, `progress`, `refresh`: as for `solve_hj`.
     - `method`: "conservative", which is second order and independent of `solve_hj`, or "conservative-" before the name
-      of
-      one of its methods. The latter uses the same flux, and the two forms agree to rounding.
+      of one of its methods. The latter uses the same flux, and the two forms agree to rounding.
 
     Return a `Run`, with the heights integrated from q. Raise InputError and RunError as `solve_hj`.
 
@@ -103,8 +102,7 @@ def track_fronts(
     - `fronts`: number of fronts; more where fans open. Data that are kinks only are solved exactly for any number.
     - `progress`: a function that is called with the completed fraction in [0, 1].
     - `exact`: True moves the fronts of other data to rounding, too. Each merge is then located in time, and mass and
-      volume
-      are conserved to 1e-10, in about fifty times the seconds. The error of the number of fronts remains.
+      volume are conserved to 1e-10, in about fifty times the seconds. The error of the number of fronts remains.
 
     Return a `Run`. If a later state is not resolved because q is too near -1, `status` states it, and the last saved
     time is the last good one. Raise InputError for invalid input or q != 0 at the left end, and RunError if fronts lose

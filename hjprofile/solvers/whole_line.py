@@ -26,7 +26,7 @@ from hjprofile.solvers.stop import Place, Reason, Stop, Stopped, Time
 
 P = ParamSpec("P")
 TOLERANCE = 1e-13  # relative tolerance of the transformation of time
-SMEAR = 10.0  # allowance for W at the end of the window on a grid, in cells times q there
+GRID_ALLOWANCE = 10.0  # allowance for W at the end of the window on a grid, in cells times q there
 
 
 class Window:
@@ -34,8 +34,8 @@ class Window:
 
     Attributes:
         last: the time at which q at the end of the window would reach its largest possible value at a kink; the kink
-            leaves
-            the window no later.
+            leaves the window no later.
+        outer_times: τ -> t of the saved times.
     """
 
     def __init__(self, problem: Problem, grid: Grid):
@@ -48,13 +48,17 @@ class Window:
         W = profile.W(np.array([grid.left, grid.right]), self.law)
         self.I = float(W[1] + self.law.R(self.q))
         self.last, self._solution = self._follow_tail(self.I - float(W[0]))
-        kept = problem.times[problem.times <= self.last]
-        if not kept.size:
+        outer_times = problem.times[problem.times <= self.last]
+        if not outer_times.size:
             raise Stopped(self._left("before the first saved time, t = {t:.6g}, ", problem.times[0]))
-        inner = self.time(np.append(kept, self.last))
-        self.kept = dict(zip(inner.tolist(), kept.tolist(), strict=False))
+        inner = self.time(np.append(outer_times, self.last))
+        self.outer_times = dict(zip(inner.tolist(), outer_times.tolist(), strict=False))
         self.problem = replace(
-            problem, line="half", profile=moved(profile, -grid.right), end=float(inner[-1]), snapshots=list(self.kept)
+            problem,
+            line="half",
+            profile=moved(profile, -grid.right),
+            end=float(inner[-1]),
+            snapshots=list(self.outer_times),
         )
         self.half_grid = replace(grid, left=grid.left - grid.right, right=0.0)
 
@@ -87,10 +91,10 @@ class Window:
         """Return τ, the time of the half line; 0 at 0, increasing."""
         return np.where(t > 0.0, self._solution(t)[1], 0.0) if self._solution else t.copy()
 
-    def back(self, tau: float) -> float:
+    def outer_time(self, tau: float) -> float:
         """Return t at τ."""
-        if tau in self.kept or not self._solution:
-            return self.kept.get(tau, tau)
+        if tau in self.outer_times or not self._solution:
+            return self.outer_times.get(tau, tau)
         if not tau < self.problem.end:
             return self.last
         from scipy.optimize import brentq
@@ -116,16 +120,16 @@ class Window:
 
     def run_on_line(self, run: Run) -> Run:
         """Return the run of `problem` on `half_grid` as one of the whole line, until a kink leaves the window."""
-        time = np.array([self.back(t) for t in run.time.tolist()])
+        time = np.array([self.outer_time(t) for t in run.time.tolist()])
         right, K = self.grid.right, self.K_at_right(time)
-        exits = [self.back(e.time) for e in run.events if e.event == "exit"]
+        exits = [self.outer_time(e.time) for e in run.events if e.event == "exit"]
         W, expected = run.u[:, -1] - run.x[-1], self.I - self.law.R(self.slope(time))
         wrong = TAIL * (1.0 + np.abs(self.I))
         if run.stepped:
-            wrong += SMEAR * self.grid.dx * self.slope(time)
+            wrong += GRID_ALLOWANCE * self.grid.dx * self.slope(time)
         left = np.append(time[np.abs(W - expected) > wrong], exits)
         good = time < left.min() if left.size else time == time
-        stop, until = run.stop and run.stop.mapped(self.back, self.place), np.inf
+        stop, until = run.stop and run.stop.mapped(self.outer_time, self.place), np.inf
         gone = not good.all() or exits or (run.done and self.last < self.whole.end)
         if gone:
             stop = self._left("stopped at t = {t:.6g}: ", min([*exits, *time[~good], self.last]))
@@ -150,16 +154,16 @@ class Window:
             stop=stop,
             kinks=[
                 k._replace(
-                    time=self.back(k.time), x=k.x + right, speed=k.speed * pace[k.time],
+                    time=self.outer_time(k.time), x=k.x + right, speed=k.speed * pace[k.time],
                     rankine_hugoniot_speed=k.rankine_hugoniot_speed * pace[k.time],
                 )
-                for k in run.kinks if self.back(k.time) <= until
+                for k in run.kinks if self.outer_time(k.time) <= until
             ],
             events=[
-                e._replace(time=self.back(e.time), x=e.x + right)
-                for e in run.events if self.back(e.time) <= until
+                e._replace(time=self.outer_time(e.time), x=e.x + right)
+                for e in run.events if self.outer_time(e.time) <= until
             ],
-            bounds={name: b._replace(time=self.back(b.time), x=b.x + right) for name, b in run.bounds.items()},
+            bounds={name: b._replace(time=self.outer_time(b.time), x=b.x + right) for name, b in run.bounds.items()},
         )  # fmt: skip
 
 
@@ -182,7 +186,7 @@ def also_on_the_whole_line(solver: Callable[P, Run]) -> Callable[P, Run]:
         try:
             run = run_half(window.problem, window.half_grid, *args, **kwargs)
         except Stopped as error:
-            raise error.mapped(window.back, window.place) from None
+            raise error.mapped(window.outer_time, window.place) from None
         return _with_caution(window.run_on_line(run), problem)
 
     return wraps(solver)(solve)  # type: ignore[return-value]

@@ -14,7 +14,7 @@ from hjprofile.problem.units import Units
 from hjprofile.solvers.run import Array, KinkRecord, Run
 
 ABOUT = "a-check-or-a-study"
-STRONG = 0.25  # jump above which every method detects a kink on a few hundred cells
+DETECTED_JUMP = 0.25  # jump above which every method detects a kink on a few hundred cells
 
 
 class Comparison(NamedTuple):
@@ -48,8 +48,7 @@ class Shared(NamedTuple):
         x, x_cell: nodes and midpoints of the coarser grid.
         height: u of both runs there, shape (2, times, cells + 1).
         slope: q of both runs, means over the cells of the coarser grid, shape (2, times, cells). For the first run it
-            is
-            D u - 1, with D the difference quotient, so that a comparison with the conservation law compares two
+            is D u - 1, with D the difference quotient, so that a comparison with the conservation law compares two
                 equations.
         units: of the survey of both runs; None if one of them has none.
     """
@@ -141,7 +140,7 @@ def compare(first: Run, second: Run) -> Comparison:
 
 def kink_distances(first: Sequence[KinkRecord], second: Sequence[KinkRecord]) -> Array:
     """Return |x₁ - x₂| of the kinks stronger than STRONG at one time, from the left; empty if their numbers differ."""
-    places = [np.sort([k.x for k in kinks if k.jump > STRONG]) for kinks in (first, second)]
+    places = [np.sort([k.x for k in kinks if k.jump > DETECTED_JUMP]) for kinks in (first, second)]
     return np.abs(places[0] - places[1]) if places[0].size == places[1].size else np.empty(0)
 
 

@@ -30,7 +30,7 @@ FRONTS = 1200  # fronts for the heights: on the hillslope their error is 2 cm r.
 SLOPE_FRONTS = 400  # fronts for their derivatives: with STEP these differ there by 1 % from those with 1600 fronts
 STEP = 3e-3  # central difference in a logarithm: larger ones move kinks past points, smaller ones add noise
 RESOLVED = 0.01  # singular values below this fraction of the largest are within the error of the derivatives
-WIDEST = float(np.log(3.0))  # largest half interval of a logarithm, a factor of three: beyond it the model is nonlinear
+WIDEST_HALF = float(np.log(3.0))  # largest half interval of a logarithm, a factor of three; beyond it is nonlinear
 IMPROBABLE = 1e-3  # probability below which chi² is reported as too large
 SAME = 3e-5  # change of heights, relative to the relief, that is below the error of FRONTS
 UNEXPLAINED = 1 / 3  # largest residual of a plausible fit, relative to the change of heights, r.m.s.
@@ -58,8 +58,7 @@ class Calibration:
     Attributes:
         parameters: the varied ones, in the order of `vary`.
         volume: the supplied volume per unit width, length² critical_slope end; None if the case has no survey, or if
-            none
-            of these three was varied.
+            none of these three was varied.
         correlation: of the logarithms of the parameters, shape (parameters, parameters).
         x, measured, modelled: the surveyed points on the slope, and the heights of the model there.
         sigma: standard deviation of a measured height: as given, else estimated from the residuals.
@@ -200,8 +199,7 @@ def fit(case: str | Path, x: Array, height: Array, vary: Sequence[str], sigma: f
 
     - `case`: a path or the name of a shipped case; its own profile is the survey before.
     - `x`, `height`: positions, increasing, and heights of the survey after, shape (points,). They are in the survey's
-      units
-      if the profile is a survey, else dimensionless.
+      units if the profile is a survey, else dimensionless.
     - `vary`: dotted keys of positive numbers of the sections [erosion], [profile] and [time], as in
       "profile.critical_slope". The fit starts from their values in the case.
     - `sigma`: standard deviation of a measured height, in the unit of `height`; by default estimated from the
@@ -250,7 +248,7 @@ def fit(case: str | Path, x: Array, height: Array, vary: Sequence[str], sigma: f
     hidden = {name for names, _ in blind for name in names}
     warnings = [sentence for _, sentence in blind]
     for i, name in enumerate(model.names):
-        if half[i] > WIDEST and name not in hidden:
+        if half[i] > WIDEST_HALF and name not in hidden:
             hidden.add(name)
             warnings.append(_undetermined(i, model.names, correlation))
     chi2 = float(np.sum((residual / sigma) ** 2)) if sigma else None

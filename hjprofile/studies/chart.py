@@ -28,9 +28,9 @@ TOLERANCES = 1e-7, 1e-9, 1e-11
 REFERENCE_FRONTS = 12800
 STEEP_REFERENCE_FRONTS = 3200  # under a law of linear growth, where a front costs ten times as much
 REPEATS = 3
-PATIENCE = 0.3  # seconds of a run above which finer runs of its method are omitted
+LONGEST_RUN = 0.3  # seconds of a run above which finer runs of its method are omitted
 SNAPSHOTS = 5  # number of times over which errors are measured
-ROUNDING = 4.0 * float(np.finfo(float).eps)  # of u - x of order 1 at a node
+U_ROUNDING = 4.0 * float(np.finfo(float).eps)  # of u - x of order 1 at a node
 INTEGRATED = 1e-12  # error of solutions integrated to 1e-13: exact fronts; closed forms, except for the rational law
 NOTHING = 1e-12  # |q| of a slope that is neutral to rounding
 SAFETY = 2.0  # error of a reference in q, as a multiple of its distance to a coarser run of its method
@@ -128,7 +128,7 @@ def chart(
                 points.append(Point(case, method, cells, u_sup, q_l1, seconds, run.steps))
             if progress:
                 progress((i + (cells / ladder[-1][0]) ** 2) / len(plan))
-            if seconds > PATIENCE:
+            if seconds > LONGEST_RUN:
                 break
     if not points:
         raise RunError(f"{case}: no method reaches the end; `hjprofile run {case}` says why")
@@ -173,7 +173,7 @@ def _reference(problem: Problem, grid: Grid) -> Reference:
         with suppress(RunError):
             run, coarser = (solve_characteristics(problem, grid, e) for e in (finest, 100.0 * finest))
             if run.done and coarser.done and run.error_estimate is not None:
-                rounding = ROUNDING * grid.cells * (1.0 + float(np.abs(run.u - run.x).max()))  # of differences of u
+                rounding = U_ROUNDING * grid.cells * (1.0 + float(np.abs(run.u - run.x).max()))  # of differences of u
                 error_q = max(run.error_estimate, SAFETY * _distance(run.q, coarser.q, grid)) + rounding
 
                 def by_characteristics(g: Grid) -> tuple[Array, Array]:

@@ -38,7 +38,7 @@ CONVERGING = tuple(
 )
 LEAST_CELLS, MOST_CELLS = 2000, 4000  # limits for the finest grid; orders on coarser ones are misleading
 
-ROUNDING = 1e-10  # allowance for volumes and distances
+ABSOLUTE_ROUNDING = 1e-10  # allowance for volumes and distances
 SAFETY = 2.0  # factor of estimates from three differences: the error of a kink depends on its position in a cell
 WORST_ORDER = 0.5  # order of the theory in L1; below it a run is not in its asymptotic range
 BEST_ORDER = 1.0  # order of any method on a fixed grid across a kink
@@ -199,7 +199,7 @@ class Ladder:
     def converges(self) -> bool:
         """True if heights converge at least with the order of the theory."""
         away = [c.height_l1 for c in self.steps]
-        return max(away) <= ROUNDING or observed_order(self.cells[1:], away) >= WORST_ORDER
+        return max(away) <= ABSOLUTE_ROUNDING or observed_order(self.cells[1:], away) >= WORST_ORDER
 
 
 def _richardson(steps: Sequence[float]) -> float:
@@ -234,7 +234,7 @@ def _within(name: str, cells: list[int], error: list[float], estimate: float, so
     If the profile is not `resolved`, an estimate is unreliable, and the comparison stays open. It fails if one of the
     solutions is not `sound`, that is, if it does not converge although a less accurate one does.
     """
-    allowed = SAFETY * estimate + ROUNDING
+    allowed = SAFETY * estimate + ABSOLUTE_ROUNDING
     near = bool(error[-1] <= allowed)
     order = _finite(observed_order(cells, error))
     if resolved and not sound:
@@ -344,12 +344,12 @@ def _budgets(runs: Runs, ladders: dict[str, Ladder], resolved: bool) -> Iterator
     """Compare the eroded volume with ∫(K(left) - 1) dt: equal to rounding, or with an error that converges."""
     for method, one in ladders.items():
         error = [r.volume_budget_error for r in one.runs]
-        if method not in CONVERGING and max(error) <= ROUNDING:
-            yield _bounded(f"budget:{method}", one.cells[-1], error[-1], ROUNDING, "to rounding")
+        if method not in CONVERGING and max(error) <= ABSOLUTE_ROUNDING:
+            yield _bounded(f"budget:{method}", one.cells[-1], error[-1], ABSOLUTE_ROUNDING, "to rounding")
         else:
             estimate = _richardson([abs(a - b) for a, b in pairwise(error)])
             yield _within(f"budget:{method}", one.cells, error, estimate, True, resolved)
     if "telescoping" not in ladders:
         finest = ladders["conservative"].cells[-1]
         error = [runs["telescoping", finest].volume_budget_error]
-        yield _bounded("budget:telescoping", finest, error[0], ROUNDING, "to rounding")
+        yield _bounded("budget:telescoping", finest, error[0], ABSOLUTE_ROUNDING, "to rounding")

@@ -48,7 +48,7 @@ REFRESHES = (64, 32, 16, 8)  # lengths of a fractional step, in mean time steps
 TIMES_OF_K = 17  # number of times at which a coefficient is compared with itself
 PIECES = 4  # largest number of pieces of a piecewise constant disturbance
 NOTHING = 1e-12  # |q| of a slope that is neutral to rounding
-ROUNDING = 1e-9  # relative excess of a distance over its bound that counts as rounding
+BOUND_EXCESS = 1e-9  # relative excess of a distance over its bound that counts as rounding
 FASTER = 0.02  # relative increase of the speed that a batch of steps allows
 SHARE = 0.5  # largest disturbance as a fraction of 1 + q
 
@@ -58,9 +58,8 @@ class Distance(NamedTuple):
 
     Attributes:
         study: "data" (two slopes), "zero" (a slope and the neutral one), "coefficient" (k and a disturbed k), "refresh"
-            (K
-            in every step and frozen in fractional steps; a mean over time), "refresh kinks" (the same, the distance of
-            kinks; NaN if there are none).
+            (K in every step and frozen in fractional steps; a mean over time), "refresh kinks" (the same, the distance
+            of kinks; NaN if there are none).
         member: number of the pair.
         size: ‖q - q̃‖₁ at t = 0; the largest relative disturbance of k; the fractional step.
         bound: upper bound of `distance`: see the module; for "zero" ‖q‖₁ at t = 0; NaN for fractional steps.
@@ -315,9 +314,9 @@ def summary(distances: Sequence[Distance]) -> tuple[list[str], str]:
     }
     kinks = largest_distances(distances, "refresh kinks").values()
     order_of_kinks = -observed_order(*zip(*kinks, strict=True)) if kinks else np.nan
-    grows = "never grows" if share["zero"] <= 1.0 + ROUNDING else "GROWS"
+    grows = "never grows" if share["zero"] <= 1.0 + BOUND_EXCESS else "GROWS"
     sentences = [
-        f"data         {_growth(studies['data'], share['data'])}",
+        f"data         {_line_on_pairs(studies['data'], share['data'])}",
         f"zero         ‖q‖₁ {grows}, {pairs['zero']} slopes",
         f"coefficient  ‖q - q̃‖₁ is of order {order['coefficient']:.2f} in k - k̃, {pairs['coefficient']} pairs; at most "
         f"{share['coefficient']:.2g} of the bound",
@@ -328,14 +327,14 @@ def summary(distances: Sequence[Distance]) -> tuple[list[str], str]:
     ]
     worst = max(("data", "zero", "coefficient"), key=lambda study: share[study])
     failed = f"a distance of the study {worst!r} is {share[worst]:.4g} times its bound"
-    return sentences, failed if share[worst] > 1.0 + ROUNDING else ""
+    return sentences, failed if share[worst] > 1.0 + BOUND_EXCESS else ""
 
 
-def _growth(data: Sequence[Distance], share: float) -> str:
+def _line_on_pairs(data: Sequence[Distance], share: float) -> str:
     """Return a line on the distances of pairs of slopes; a prescribed coefficient bounds them by those at the start."""
     pairs = len({d.member for d in data})
-    if all(math.isclose(d.bound, d.size, rel_tol=ROUNDING) for d in data):
-        return f"‖q - q̃‖₁ {'never grows' if share <= 1.0 + ROUNDING else 'GROWS'}, {pairs} pairs"
+    if all(math.isclose(d.bound, d.size, rel_tol=BOUND_EXCESS) for d in data):
+        return f"‖q - q̃‖₁ {'never grows' if share <= 1.0 + BOUND_EXCESS else 'GROWS'}, {pairs} pairs"
     L = [observed_constant([d for d in data if (d.member - 1) // PAIRS == i]) for i in range(len(SIZES))]
     each = ", ".join(f"{value:.3g}" for value in L)
     return (

@@ -17,7 +17,7 @@ from hjprofile.errors import InputError
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.ranges import instance
-from hjprofile.solvers.grids.bounds_monitor import HIGHER_ORDER, LOCAL, MONOTONE, BoundsMonitor, Promises
+from hjprofile.solvers.grids.bounds_monitor import HIGHER_ORDER, LOCAL, MONOTONE, BoundsMonitor, Guarantees
 from hjprofile.solvers.grids.conservation import FirstOrder, SecondOrder
 from hjprofile.solvers.grids.flux import Flux
 from hjprofile.solvers.grids.grid_law import GridLaw, grid_law
@@ -157,14 +157,14 @@ Row = Limits | tuple[str, str, float | str, str, str, float, float]  # a Trial w
 
 def _cfl(data: _Data) -> Iterator[Row]:
     """Scan CFL numbers for every method, with bisection for the limit of the monotone ones."""
-    for method, promises in _methods():
+    for method, guarantees in _methods():
 
         def attempt(number: float) -> tuple[str, str]:
-            return _attempt(_scheme(method, data), data, number, promises, _judged_by(method))  # noqa: B023
+            return _attempt(_scheme(method, data), data, number, guarantees, _judged_by(method))  # noqa: B023
 
         tried = {number: attempt(number) for number in CFL}
         broken = [n for n in CFL if tried[n][0] != HOLDS]
-        if promises is not HIGHER_ORDER and broken:
+        if guarantees is not HIGHER_ORDER and broken:
             low = max([n for n in CFL if n < broken[0]], default=0.0)
             high = broken[0]
             for _ in range(BISECTIONS):
@@ -198,14 +198,14 @@ def _reconstruction(data: _Data) -> Iterator[Row]:
     """Scan the reconstructions."""
     for edges in ("monotone", "limited", "unlimited", "central"):
         scheme = _Laboratory(data, edges=edges)
-        promises = MONOTONE if edges == "monotone" else HIGHER_ORDER
-        yield ROBUST_METHOD, "reconstruction", edges, *_attempt(scheme, data, 0.5 * SAFE, promises), np.nan
+        guarantees = MONOTONE if edges == "monotone" else HIGHER_ORDER
+        yield ROBUST_METHOD, "reconstruction", edges, *_attempt(scheme, data, 0.5 * SAFE, guarantees), np.nan
 
 
 def _smallness(data: _Data) -> Iterator[Row]:
     """Scan the depth of a hollow, a twentieth of the domain wide, for each method."""
     n = data.q.size
-    for method, promises in _methods():
+    for method, guarantees in _methods():
         for p in SMALLEST:
             q = data.q.copy()
             q[n // 2 : n // 2 + n // 20] = p - 1.0
@@ -215,19 +215,19 @@ def _smallness(data: _Data) -> Iterator[Row]:
             if method.name == "conservative":
                 tries = np.geomspace(1e-6, 1.0, 400)
                 limit = float(tries[np.searchsorted(data.problem.law.f(tries - 1.0) * data.grid.dx, -2.0)])
-            yield method.name, "least 1 + q", p, *_attempt(_scheme(method, hollow), hollow, SAFE, promises), limit
+            yield method.name, "least 1 + q", p, *_attempt(_scheme(method, hollow), hollow, SAFE, guarantees), limit
 
 
 def _exponents(data: _Data) -> Iterator[Row]:
     """Scan the length of the grid with the same slopes, which is proportional to ln K."""
     exponent = np.abs(np.cumsum(data.law.f(data.q)[::-1])).max() * data.grid.dx
-    for method, promises in _methods():
+    for method, guarantees in _methods():
         for most in EXPONENTS:
             stretch = float(most / exponent)
             grid = Grid(stretch * data.grid.left, CELLS)
             # until the first kink has crossed a few cells, which is a short time if K is large
             longer = _Data(data.problem, grid, data.q, 20.0 * stretch * data.grid.dx * float(np.exp(-min(most, 700.0))))
-            outcome, detail = _attempt(_scheme(method, longer), longer, SAFE, promises)
+            outcome, detail = _attempt(_scheme(method, longer), longer, SAFE, guarantees)
             yield method.name, "largest |ln K|", most, outcome, detail, HIGHEST_EXPONENT
 
 
@@ -236,7 +236,7 @@ def _truncation(data: _Data) -> Iterator[Row]:
     support = np.flatnonzero(np.abs(data.q) > 1e-9)
     start, width = int(support[0]), int(support[-1] - support[0]) + 1
     whole = _Laboratory(data)
-    same = partial(_attempt, number=SAFE, promises=MONOTONE, saw=0.0, steps=60, speed=2.0 * whole.evaluate())  # same Δt
+    same = partial(_attempt, number=SAFE, guarantees=MONOTONE, saw=0.0, steps=60, speed=2.0 * whole.evaluate())
     same(whole, data)
     for cut in CUTS:
         first = max(start + round(cut * width), 0)
@@ -260,29 +260,29 @@ def _scheme(method: Method, data: _Data) -> Scheme:
     return HighOrderHamiltonJacobi(data.law, data.grid, data.W, method.name, 0.0)
 
 
-def _methods() -> list[tuple[Method, Promises]]:
+def _methods() -> list[tuple[Method, Guarantees]]:
     """Return every method on a grid with its own scheme, and its monitored bounds."""
     own = [method for method in METHODS.values() if method.on_grid and not method.carries]
     assert all(method.setup for method in own)
     # with a viscosity that changes from step to step the bounds of frozen steps do not hold here
-    return [(m, LOCAL if m.flux and m.flux.viscous else m.setup.promises) for m in own]  # type: ignore[union-attr]
+    return [(m, LOCAL if m.flux and m.flux.viscous else m.setup.guarantees) for m in own]  # type: ignore[union-attr]
 
 
 def _judged_by(method: Method) -> Flux | None:
     """Return the flux of frozen steps, or None: with a local viscosity a step does not preserve the order of states."""
-    promises = method.setup.promises if method.setup else {}
-    return method.flux if promises.get("kruzkov") else None
+    guarantees = method.setup.guarantees if method.setup else {}
+    return method.flux if guarantees.get("kruzkov") else None
 
 
 @np.errstate(all="ignore")
 def _attempt(
-    scheme: Scheme, data: _Data, number: float, promises: Promises, flux: Flux | None = None,
+    scheme: Scheme, data: _Data, number: float, guarantees: Guarantees, flux: Flux | None = None,
     viscosity: float = 1.0, saw: float = SAWTOOTH, steps: int | None = None, speed: float = 0.0,
 ) -> tuple[str, str]:  # fmt: skip
     """Return outcome and detail of steps of one CFL number; `speed` replaces a smaller max K f'."""
     grid, t = data.grid, 0.0
     _roughen(scheme, saw)
-    bounds = BoundsMonitor(data.problem, grid, scheme.W, promises, flux if viscosity >= 1.0 else None)
+    bounds = BoundsMonitor(data.problem, grid, scheme.W, guarantees, flux if viscosity >= 1.0 else None)
     taken, oscillates = 0, ""
     try:
         while True:

@@ -20,7 +20,7 @@ from hjprofile.problem.identity import digest_of
 from hjprofile.solvers.run import Array, Run
 from hjprofile.solvers.solve import check_case, solve_case
 
-MOST = 100_000  # largest number of members; each is built before the first is run
+MOST_MEMBERS = 100_000  # largest number of members; each is built before the first is run
 _UNREAD = ("title", "output", "expect")  # sections of a case that do not change its run
 
 QUANTITIES = {  # name -> description
@@ -113,8 +113,8 @@ def members(case: str | Path, vary: Mapping[str, list[Any]]) -> list[Member]:
         if not values:
             raise InputError(f"{key} needs one value or more")
     count = math.prod(map(len, vary.values()))
-    if count > MOST:
-        raise InputError(f"the values make {count} members; a sweep has at most {MOST}")
+    if count > MOST_MEMBERS:
+        raise InputError(f"the values make {count} members; a sweep has at most {MOST_MEMBERS}")
     made: list[Member] = []
     usable, refused = [set[int]() for _ in vary], [dict[int, str]() for _ in vary]
     for places in product(*(range(len(values)) for values in vary.values())):

@@ -140,13 +140,13 @@ def slope_between(run: Run, times: Array, x: Array) -> Array:
         numbers = [n for n in paths if not np.isnan(place(paths, n, first) + place(paths, n, second))]
         numbers.sort(key=lambda n: place(paths, n, first))
         at_first, at_second = (_knots(paths, numbers, t, ends) for t in (first, second))
-        kept = np.diff(at_second) > np.minimum(narrow, 0.5 * np.diff(at_first))
+        survives = np.diff(at_second) > np.minimum(narrow, 0.5 * np.diff(at_first))
         for row in np.flatnonzero(index == i):
             part = (times[row] - first) / (second - first) if j > i else 0.0
             knots = _knots(paths, numbers, float(times[row]), ends)
             before = np.interp(np.interp(x, knots, at_first), run.x_cell, run.q[i])
             after = np.interp(np.interp(x, knots, at_second), run.x_cell, run.q[j])
-            weight = kept * part
+            weight = survives * part
             weight = weight[np.clip(np.searchsorted(knots, x) - 1, 0, weight.size - 1)]
             q[row] = (1.0 - weight) * before + weight * after
     return q

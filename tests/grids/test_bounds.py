@@ -154,7 +154,7 @@ def test_each_monitor_fires(name, monkeypatch):
 def test_what_a_method_does_not_promise_is_not_watched():
     problem = hj.Problem(hj.rational(), steps([-3.0, -2.0], [0.5]), end=0.3, snapshots=2)
     everything = set(hj.solve_hj(problem, hj.Grid(-4.0, 100), "godunov").bounds)
-    assert everything == {name for name, kept in METHODS["godunov"].setup.promises.items() if kept}
+    assert everything == {name for name, kept in METHODS["godunov"].setup.guarantees.items() if kept}
     local = set(hj.solve_hj(problem, hj.Grid(-4.0, 100), "local-lax-friedrichs").bounds)
     assert everything - local == {"flux_maximum", "flux_variation", "kruzkov"}
     inflow = hj.Problem(hj.rational(), hj.steady(0.4), end=0.5)

@@ -60,7 +60,7 @@ def merged(panels: Panels, k: int) -> Panels:
     """Return panels without segment k: the shocks on its sides are one."""
     keep = np.ones(len(panels.r), dtype=bool)
     keep[panels.mesh.first[k] : panels.mesh.first[k + 1]] = False
-    rest = panels.kept(keep)
+    rest = panels.selected(keep)
     off, power, number = np.delete(panels.off, k, axis=0), np.delete(panels.power, k, axis=0), panels.number.copy()
     off[k - 1] = panels.off[k - 1, 0], panels.off[k, 1]
     power[k - 1] = 0.0
@@ -73,7 +73,7 @@ def merged(panels: Panels, k: int) -> Panels:
 
 def exited(panels: Panels) -> Panels:
     """Return panels without the last shock and without the panels right of it."""
-    rest = panels.kept(np.arange(len(panels.r)) < panels.mesh.first[-2])
+    rest = panels.selected(np.arange(len(panels.r)) < panels.mesh.first[-2])
     return replace(
         rest, mesh=rest.mesh._replace(first=rest.mesh.first[:-1]), off=panels.off[:-1], power=panels.power[:-1],
         number=panels.number[:-1], birth=panels.birth[:-1], tau=panels.tau[:-1], off_crest=panels.off[-1:, 0].copy(),
@@ -101,7 +101,7 @@ def passed(panels: Panels, kind: str, i: int) -> Panels:
             off_crest[0] = 0.0
     if kind != "crest":
         power[i] = 0.0
-    return replace(panels.kept(keep), off=off, power=power, off_crest=off_crest)
+    return replace(panels.selected(keep), off=off, power=power, off_crest=off_crest)
 
 
 def with_joint_at(panels: Panels, p: int, s: float) -> tuple[Panels, int]:

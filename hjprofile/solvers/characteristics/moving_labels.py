@@ -24,10 +24,10 @@ from hjprofile.solvers.stop import Place, Reason, Stop, Time
 TRY, LABEL, READ = 5e-4, 1.2e-6, 1.5e-3
 CORNER = 1e-3  # fraction of a panel within which a birth is assigned to a corner; a sliver would halve every step
 FLOOR = 1e-13  # smallest step, as a fraction of the end
-LEAST = 1e-15  # error of a step below which it is rounding
-MOMENT, BEYOND, LOOK = 1e-11, 10.0, 100.0  # of events: part of the end; of tolerances; of `threshold`
+SMALLEST_STEP_ERROR = 1e-15  # error of a step below which it is rounding
+MOMENT, TOLERANCES, BIRTH_DELAY = 1e-11, 10.0, 100.0  # of events: part of the end; of tolerances; of `threshold`
 MOST_PANELS, MOST_EVENTS = 4000, 200  # MOST_EVENTS: at one time; each removes a kink, a panel or a label
-FARTHEST_LOOK = 1e-4  # largest interval after the end that is searched for events, as a fraction of the end
+LARGEST_DELAY = 1e-4  # largest interval after the end that is searched for events, as a fraction of the end
 NARROWEST_PANEL = 1e-9
 SQUARE_ROOT = 0.7  # first step of sqrt(t - birth), relative to the square root of the last time step
 MUCH_BETTER = 1 / 30  # largest error of a step whose interpolant is used for the state at an event
@@ -58,7 +58,7 @@ class MovingLabels(Solution):
         self.table, self.requested, self.end, self.patience = table, tolerance, float(problem.end), patience
         # births depend on X_ξ and q, so errors must be small relative to the narrowest panel and the largest q
         narrowest, largest = float(panels.mesh.half.min()), float(np.abs(panels.r - problem.law.R(0.0)).max())
-        self.tolerance = max(tolerance * min(1.0, narrowest) * min(1.0, largest), LEAST)
+        self.tolerance = max(tolerance * min(1.0, narrowest) * min(1.0, largest), SMALLEST_STEP_ERROR)
         self.now = _Stretch(panels, 0.0, np.nan)
         self.r0 = float(problem.law.R(0.0))
         self.h = self.dt = 0.01 * max(problem.end, 1e-300)
@@ -66,7 +66,7 @@ class MovingLabels(Solution):
         self.count, self.steps = panels.shocks, 0
         # the smallest negative slope of X in the label that exceeds the errors of panels and steps
         self.threshold = max(1e-7, 30.0 * POINTS**2 * tolerance)
-        self.moment = problem.end * max(MOMENT, BEYOND * tolerance)
+        self.moment = problem.end * max(MOMENT, TOLERANCES * tolerance)
         self._allocate()
 
     @property
@@ -192,7 +192,7 @@ class MovingLabels(Solution):
         kinks, ahead = self.kinks(), copy(self)  # the next lines overwrite K
         ahead.events = []
         with suppress(Lost):
-            ahead.advance(self.end * (1.0 + min(LOOK * self.threshold, FARTHEST_LOOK)))
+            ahead.advance(self.end * (1.0 + min(BIRTH_DELAY * self.threshold, LARGEST_DELAY)))
         self.events += (late := [e._replace(time=self.end) for e in ahead.events if e.time <= self.end + self.moment])
         return [k for k in kinks if k.kink not in {e.kink for e in late if e.event != "birth"}]
 

@@ -20,7 +20,7 @@ from hjprofile.solvers.run import Array
 from hjprofile.solvers.stop import Place, Reason, Stop, Stopped
 
 POINTS = 16
-FAN = 0.5  # largest range of ln R in a panel of a fan
+FAN_PANEL = 0.5  # largest range of ln R in a panel of a fan
 NARROWEST = 1e-7  # smallest width of a panel; a profile that needs narrower ones is not smooth between its corners
 MOST_PENDING = 4000  # largest number of unresolved panels of one width: it doubles where a profile is rough
 TAIL = 1e-15 * POINTS**2  # rounding of the highest Chebyshev coefficients
@@ -167,7 +167,7 @@ class Panels:
                 pieces.append((p, -1.0, 1.0))
         return self.resampled(pieces, first)
 
-    def kept(self, keep: Array) -> Panels:
+    def selected(self, keep: Array) -> Panels:
         """Return the panels for which `keep` is true, in the same segments."""
         m = self.mesh
         first = np.append(0, np.cumsum(keep))[m.first]
@@ -202,7 +202,7 @@ class Panels:
         off_crest[0] -= 2.0 * m.half[last + 1 :].sum()
         if keep.all():
             return self._cropped(low, high)
-        rest = replace(self.kept(keep), off=np.maximum(off, 0.0), power=power, off_crest=off_crest)
+        rest = replace(self.selected(keep), off=np.maximum(off, 0.0), power=power, off_crest=off_crest)
         return rest._cropped(*rest.living()) if len(rest.r) else rest
 
     def _cropped(self, low: Array, high: Array) -> Panels:
@@ -210,11 +210,11 @@ class Panels:
 
         A panel without an analytic continuation stays: beyond its end a label is found by the panel's own formula.
         """
-        back = self.mesh.joined.copy()
-        back[self.mesh.first[:-1][self.mesh.first[:-1] < len(back)]] = False
-        onwards = np.append(back[1:], False)
-        a = np.where((low > MOST_DEAD) & onwards, low - MARGIN, -1.0)
-        b = np.where((high < -MOST_DEAD) & back, high + MARGIN, 1.0)
+        joined_left = self.mesh.joined.copy()
+        joined_left[self.mesh.first[:-1][self.mesh.first[:-1] < len(joined_left)]] = False
+        joined_right = np.append(joined_left[1:], False)
+        a = np.where((low > MOST_DEAD) & joined_right, low - MARGIN, -1.0)
+        b = np.where((high < -MOST_DEAD) & joined_left, high + MARGIN, 1.0)
         if np.all((a == -1.0) & (b == 1.0)):
             return self
         off, power, off_crest = self.off.copy(), self.power.copy(), self.off_crest.copy()
@@ -266,7 +266,7 @@ def cut_into_panels(problem: Problem, left: float, tail: float = TAIL_OF_DATA) -
 
 def _fan(x: float, W: float, r_left: float, r_right: float) -> list:
     """Return the panels of a fan that opens at x: r decreases geometrically, and I with it."""
-    pieces = int(np.ceil(np.log(r_left / r_right) / FAN))
+    pieces = int(np.ceil(np.log(r_left / r_right) / FAN_PANEL))
     joints = np.linspace(np.log(r_left), np.log(r_right), pieces + 1)
     columns = []
     for i, (a, b) in enumerate(pairwise(joints.tolist())):

@@ -33,7 +33,7 @@ DATA = 1e-3  # error of the panels at t = 0, relative to the tolerance of steps:
 COARSER, COARSE_STEPS = 10.0, 1e-6  # ratio of the two tolerances for the estimate; the largest second one
 BUDGET = 30.0  # allowance of a budget in tolerances, relative to its terms; 2000 random runs satisfied it
 FEWEST_STEPS = 20  # for an estimate of rounding
-ROUNDING = 1e-14  # of W of order 1, after some hundred steps; measured 7e-14 at most on the rational closed forms
+W_ROUNDING = 1e-14  # of W of order 1, after some hundred steps; measured 7e-14 at most on the rational closed forms
 
 
 def solve_characteristics(
@@ -87,8 +87,8 @@ def _march(
     mass = float(np.diff(problem.profile.W(ends, problem.law))[0])
     volume = start.volume()
     # a step may add its tolerance, a panel its own, and the grid reads u to rounding
-    allowance = BUDGET * (solver.requested + ROUNDING) * (1.0 + abs(volume) + float(np.ptp(start.mesh.I)))
-    read = allowance + 4.0 * ROUNDING / grid.dx
+    allowance = BUDGET * (solver.requested + W_ROUNDING) * (1.0 + abs(volume) + float(np.ptp(start.mesh.I)))
+    read = allowance + 4.0 * W_ROUNDING / grid.dx
     allowed = {n: (allowance if n == "volume_budget" else read, "the tolerance") for n in BOUNDS}
     # the smallest r lies below the minimum on many points, by less than this minimum lies below that on few points
     few, many = float(start.r.min()), float((start.r @ interpolation(FINE.s).T).min())

@@ -16,11 +16,11 @@ from hjprofile.solvers.run import Array
 from hjprofile.solvers.stop import ROBUST_METHOD, Reason, Stop, Stopped
 
 FOLDS = 5000.0  # largest sum of |ln K| changes; the time of a run grows with its square, to 20 s
-FAN = 0.25  # largest fall of ln R across one front; stronger ones, where q changes its sign, approach q = -1
+FAN_FRONT = 0.25  # largest fall of ln R across one front; stronger ones, if q changes sign, approach q = -1
 FLAT = 1e-10  # largest |q| that counts as the neutral slope
 NODES = 33  # number of values of q along a fan, between which its fronts are interpolated
 SWALLOWED = 16.0  # largest width to which a fall opens, in distances to the nearest shock
-LEAST = 0.3  # smallest |I_x| as a fraction of |W_x| + |R_x|: if they cancel, pieces would be too long
+LEAST_RATE = 0.3  # smallest |I_x| as a fraction of |W_x| + |R_x|: if they cancel, pieces would be too long
 FEWEST_IN_FAN = 4  # smallest number of fronts in the fan of a stated jump
 PART = 1 / 32  # largest change between two intervals of the sample, as a fraction of the range of ln(1 + q)
 MARKS = 0.25  # largest number of marks, as a fraction of the fronts; of more, the weak ones are merged
@@ -38,9 +38,9 @@ class FrontData:
         smooth: True if the piece right of a front represents a stretch in which I varies.
         area: |change of I| times length of a piece, the same for all pieces of smooth data.
         spacing: mean length of the pieces, weighted by the change of I.
-        most_eroded: the largest |f|.
+        largest_f: the largest |f|.
         r0: R(0), r on the far left.
-        top: W at x = 0.
+        W_crest: W at x = 0.
         sample: the profile on a fine sample, or None if the fronts are the data.
     """
 
@@ -50,9 +50,9 @@ class FrontData:
     smooth: Array
     area: float
     spacing: float
-    most_eroded: float
+    largest_f: float
     r0: float
-    top: float
+    W_crest: float
     sample: Sample | None = None
 
     @property
@@ -104,8 +104,8 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int, pieces: Pieces) 
 
     upward = np.isin(cuts, breaks[breaks[:, 2] > breaks[:, 1] + JUMP, 0])
     label = np.where(upward, np.cumsum(upward), 0)
-    present = upward | (np.abs(jump) > 1e-15)
-    members = present.astype(np.int64)
+    is_front = upward | (np.abs(jump) > 1e-15)
+    members = is_front.astype(np.int64)
     levels = np.empty(0)
     if sample is not None:
         r_left = np.append(r0, I[:-1]) - W[:-1]
@@ -121,18 +121,16 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int, pieces: Pieces) 
         jumps = jump[owner]
     flags = np.where(last, smooth[owner], True)
     # a front without a jump is omitted: the piece on its left continues
-    gone = np.maximum(np.searchsorted(owner, np.flatnonzero(~present & (members == 0))) - 1, 0)
+    gone = np.maximum(np.searchsorted(owner, np.flatnonzero(~is_front & (members == 0))) - 1, 0)
     if owner.size:
-        flags[gone] |= smooth[~present & (members == 0)]
+        flags[gone] |= smooth[~is_front & (members == 0)]
     weight = np.abs(jump) * smooth
     spacing = float(weight @ h / weight.sum()) if weight.any() else -float(cuts[0]) / fronts
     spacing = min(spacing, LARGEST * float(law.R_derivative(0.0)))
     if sample is None:
         area = -float(cuts[0]) * float(np.abs(jump).sum()) / fronts**2
-    most_eroded = float(np.abs(law.f(reached_q)).max())
-    data = FrontData(
-        cuts[owner], jumps, label[owner] * last, flags, area, spacing, most_eroded, r0, float(W[-1]), sample
-    )
+    largest_f = float(np.abs(law.f(reached_q)).max())
+    data = FrontData(cuts[owner], jumps, label[owner] * last, flags, area, spacing, largest_f, r0, float(W[-1]), sample)
     return data, table
 
 
@@ -200,10 +198,10 @@ def _need(problem: Problem, sample: Sample, jumps: Array, shocks: Array) -> Arra
         K = np.exp(np.maximum(sample.ln_K[1:-1], 0.0))
         f, slope = law.f(q), law.derivative(q)
         decay, change = 0.5 * (q[1:] + q[:-1]), np.diff(law.R(q)) / between
-        rate = np.maximum(np.abs(decay + change), LEAST * (np.abs(decay) + np.abs(change)))
+        rate = np.maximum(np.abs(decay + change), LEAST_RATE * (np.abs(decay) + np.abs(change)))
         parting = K * (np.diff(slope) / between - 0.5 * (f * slope)[1:] - 0.5 * (f * slope)[:-1])
         duration = np.minimum(_duration(problem, x[1:-1], q[1:], K), _duration(problem, x[1:-1], q[:-1], K))
-        longer = 1.0 + np.minimum(np.maximum(parting, 0.0) * duration, _room(x[1:-1], shocks) / between)
+        longer = 1.0 + np.minimum(np.maximum(parting, 0.0) * duration, _width(x[1:-1], shocks) / between)
         node = np.sqrt(rate * longer)
     known = np.isfinite(node) & ~np.isin(x[1:-1], jumps)
     node = np.where(known, node, 0.0)
@@ -219,12 +217,12 @@ def _fans(problem: Problem, sample: Sample, shocks: Array, x: Array, before: Arr
     K = np.exp(np.maximum(np.interp(x, sample.x, sample.ln_K), 0.0))[:, None]
     R, duration = law.R(q), _duration(problem, x[:, None], q, K)
     opening = np.maximum(K * np.diff(law.derivative(q)) * np.minimum(duration[:, 1:], duration[:, :-1]), 0.0)
-    opening *= np.minimum(1.0, _room(x, shocks)[:, None] / np.maximum(opening.sum(axis=1, keepdims=True), 1e-300))
+    opening *= np.minimum(1.0, _width(x, shocks)[:, None] / np.maximum(opening.sum(axis=1, keepdims=True), 1e-300))
     need = np.cumsum(np.sqrt(np.maximum(-np.diff(R), 0.0) * opening), axis=1)
     return _Fans(np.log(R), np.hstack([np.zeros((x.size, 1)), need]))
 
 
-def _room(x: Array, shocks: Array) -> Array:
+def _width(x: Array, shocks: Array) -> Array:
     """Return the largest width to which a fall at x opens, before it leaves or the nearest shock swallows it."""
     at = np.searchsorted(shocks, x)
     nearest = np.minimum(x - np.append(-np.inf, shocks)[at], np.append(shocks, np.inf)[at] - x)
@@ -262,12 +260,12 @@ def _levels(
     fans = _fans(problem, sample, shocks, cuts[steep], before[steep], after[steep])
     level = fans.level
     # the values of r on both sides of a front differ from R of the mean slopes
-    top, foot = np.log(r_left[steep]), np.log(r_right[steep])
-    top, foot = np.where(stated[steep], level[:, 0], top), np.where(stated[steep], level[:, -1], foot)
+    upper, lower = np.log(r_left[steep]), np.log(r_right[steep])
+    upper, lower = np.where(stated[steep], level[:, 0], upper), np.where(stated[steep], level[:, -1], lower)
     part = (level - level[:, :1]) / np.minimum(level[:, -1:] - level[:, :1], -1e-300)
-    level = top[:, None] + (foot - top)[:, None] * part
+    level = upper[:, None] + (lower - upper)[:, None] * part
     s = fans.need / quantum if quantum > 0.0 else np.zeros_like(level)
-    count = np.maximum(np.round(s[:, -1]), np.ceil((top - foot) / FAN))
+    count = np.maximum(np.round(s[:, -1]), np.ceil((upper - lower) / FAN_FRONT))
     count = np.where(stated[steep], np.maximum(count, FEWEST_IN_FAN), count)
     # uniform in ln r if the needs are small
     s += (1e-3 * s[:, -1:] + 1e-12) * np.linspace(0.0, 1.0, NODES)
@@ -277,10 +275,10 @@ def _levels(
         n = int(count[k])
         number[steep[k]] = n
         edges = np.interp(np.arange(1, n) / n * s[k, -1], s[k], level[k])
-        edges = np.concatenate([[top[k]], edges, [foot[k]]])
+        edges = np.concatenate([[upper[k]], edges, [lower[k]]])
         most = np.max(-np.diff(edges))
-        if most > FAN:
-            extra = np.maximum(np.ceil(-np.diff(edges) / FAN), 1).astype(int)
+        if most > FAN_FRONT:
+            extra = np.maximum(np.ceil(-np.diff(edges) / FAN_FRONT), 1).astype(int)
             edges = divided(edges, extra)
             number[steep[k]] = edges.size - 1
         found.append(0.5 * (edges[1:] + edges[:-1]))

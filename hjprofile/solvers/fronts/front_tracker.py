@@ -22,9 +22,9 @@ from hjprofile.solvers.run import Array
 
 TIME = 1.0  # largest error of the time steps, in areas of a piece; measured: a tenth of the error in space
 SAVED = 0.1  # largest time for which unused error is saved for later steps, as a fraction of the end
-NEAR = 0.05  # largest distance of a Taylor series
-NEAR_AREA = 0.1  # its fourth power, in areas of a piece: the error of the series is then a 24th of the area
-STRONG = 0.95  # quantile of the jumps of small fronts; a new kink is KINK times stronger
+TAYLOR_REACH = 0.05  # largest distance of a Taylor series
+TAYLOR_AREA = 0.1  # its fourth power, in areas of a piece: the error of the series is then a 24th of the area
+SMALL_FRONT_QUANTILE = 0.95  # quantile of the jumps of small fronts; a new kink is KINK times stronger
 TOLERANCE = 1e-13  # of one step of the exact integration
 
 
@@ -38,8 +38,8 @@ class FrontTracker(Tracker):
         self.fronts = Fronts(self.x, self.jump, self.label, np.full(capacity, np.inf), data.smooth.copy())
         small = np.abs(self.jump[self.label == 0])
         if small.size and not exact:  # jumps differ if lengths do
-            self.strong = KINK * float(np.quantile(small, STRONG))
-        self.medium = Medium(data.r0, 0.0 if exact else min(NEAR, (NEAR_AREA * data.area) ** 0.25), table)
+            self.strong = KINK * float(np.quantile(small, SMALL_FRONT_QUANTILE))
+        self.medium = Medium(data.r0, 0.0 if exact else min(TAYLOR_REACH, (TAYLOR_AREA * data.area) ** 0.25), table)
         label, first = np.zeros(capacity, dtype=np.int64), np.zeros(capacity, dtype=np.int64)
         x, jump, first_merge, speed = np.zeros((4, capacity))
         states, more = (STAGES + 1, 2) if exact else (5, 0)  # more: the integrals in the state

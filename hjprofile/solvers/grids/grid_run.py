@@ -26,7 +26,7 @@ def solve_on_grid(
     """Run a method on a grid, with monitors; `identity` distinguishes the checkpoints of the run from others."""
     cfl, setup = number("cfl", cfl), method.setup_for(problem)
     scheme = setup.scheme(problem, grid, refresh)
-    bounds = BoundsMonitor(problem, grid, scheme.W, setup.promises, method.flux, strict, scheme.factor.refresh)
+    bounds = BoundsMonitor(problem, grid, scheme.W, setup.guarantees, method.flux, strict, scheme.factor.refresh)
     extension = setup.extension(problem, grid, scheme) if setup.extension else None
     tracker = KinkTracker(problem.law, grid, extension.hidden) if extension else KinkTracker(problem.law, grid)
     watching: dict[str, Monitor] = {"bounds": bounds, "kinks": tracker, **(extension.monitors if extension else {})}

@@ -15,12 +15,12 @@ from hjprofile.solvers.run import Array, Event, KinkRecord, State, in_order
 
 Speed = Callable[["Sighting"], float]
 
-MEMORY = 10  # largest number of sightings from which a merge is dated
+SIGHTINGS_OF_MERGE = 10  # largest number of sightings from which a merge is dated
 NEARBY = 40  # cells, the range of sightings from which a speed is measured or a merge is dated
-FEWEST = 6  # smallest number of sightings for a speed; the nearest ones if fewer lie within NEARBY
+FEWEST_SIGHTINGS = 6  # smallest number of sightings for a speed; the nearest ones if fewer lie within NEARBY
 SCATTER = 0.005  # largest residual of the fit as a fraction of the distance; the error of the speed is then at most 1 %
 LEAST_SPAN = 12  # cells, smallest range for a speed: positions scatter by about 0.05 cells
-BACK = 2  # cells by which a kink may appear to move downslope: its mean error is 0.3 to 1.9 cells (theory, Kinks)
+SCATTER_BACK = 2  # cells by which a kink may appear to move downslope: its mean error is 0.3 to 1.9 (theory, Kinks)
 LEAST_LIFE = 3  # sightings that define a kink which is still resolved at the end
 LEAST_WAY = 6  # cells that any other kink crosses; shorter paths are caused by the detection threshold
 
@@ -96,13 +96,13 @@ class KinkTracker:
 
     def kinks_changed(self, state: State) -> bool:
         """Return True if the number of kinks has changed since the last observation."""
-        return len(self._look(state)) != len(self.frames[-1][1])
+        return len(self._kinks_of(state)) != len(self.frames[-1][1])
 
     def observe(self, state: State) -> None:
         """Append the kinks of a state."""
-        self.frames.append((state.t, self._look(state)))
+        self.frames.append((state.t, self._kinks_of(state)))
 
-    def _look(self, state: State) -> list[Sighting]:
+    def _kinks_of(self, state: State) -> list[Sighting]:
         """Return the kinks of a state."""
         if self.latest[0] != state.t:
             rows = find_kinks(state.q, float(self.grid.nodes[state.first]), self.grid.dx, state.law)
@@ -129,12 +129,12 @@ class KinkTracker:
             if not np.isnan(seen[0]):
                 self.frames[-1][1].append(Sighting(*seen))
 
-    def result(self, kept: Array) -> tuple[list[KinkRecord], list[Event]]:
+    def result(self, saved_times: Array) -> tuple[list[KinkRecord], list[Event]]:
         """Return the kinks at the saved times, and the events of the whole run."""
         paths = link(self.frames, self.grid.dx, self._speed)
         turns = {id(p): sorted(o.end.time for o in paths if o.into is p and o.end) for p in paths}
         records = []
-        for t in kept:
+        for t in saved_times:
             left = [p for p in paths if p.end and p.end.event == "exit" and p.end.time <= t]
             rows = [(p, p.times.index(t)) for p in paths if t in p.times and p not in left]
             for path, i in sorted(rows, key=lambda row: row[0].sightings[row[1]].x):
@@ -187,7 +187,7 @@ def link(frames: Sequence[tuple[float, list[Sighting]]], dx: float, speed: Speed
     _merge_lost(paths, end, dx, speed)
     for path in paths:
         if path.into:
-            _settle(path, end, dx)
+            _assign_merge(path, end, dx)
     return _without_flicker(paths, end, dx)
 
 
@@ -212,7 +212,9 @@ def _claims(
     for path in sorted(living, key=lambda p: p.times[-1] < latest):  # resolved ones first
         ahead, reach = _expected(path, t, dx, speed)
         here = path.sightings[-1].x
-        near = [i for i, new in enumerate(sightings) if abs(new.x - ahead) <= reach and new.x >= here - BACK * dx]
+        near = [
+            i for i, new in enumerate(sightings) if abs(new.x - ahead) <= reach and new.x >= here - SCATTER_BACK * dx
+        ]
         if not near:
             continue
         i = min(near, key=lambda i: abs(sightings[i].x - ahead))
@@ -242,13 +244,13 @@ def _rightful(claimants: list[_Path], dx: float) -> list[_Path]:
     Two paths are related if both were observed at the same time, or if one can be the past of the other.
     """
     latest = max((p.times[-1] for p in claimants), default=0.0)
-    present = [p for p in claimants if p.times[-1] == latest]
+    resolved = [p for p in claimants if p.times[-1] == latest]
 
     def related(lost: _Path, seen: _Path) -> bool:
-        uphill = seen.sightings[0].x >= lost.sightings[-1].x - BACK * dx
+        uphill = seen.sightings[0].x >= lost.sightings[-1].x - SCATTER_BACK * dx
         return bool(set(lost.times) & set(seen.times)) or (lost.times[-1] < seen.times[0] and uphill)
 
-    return [p for p in claimants if p in present or all(related(p, seen) for seen in present)]
+    return [p for p in claimants if p in resolved or all(related(p, seen) for seen in resolved)]
 
 
 def _untangle(claims: dict[int, list[_Path]], sightings: list[Sighting]) -> None:
@@ -285,15 +287,15 @@ def _leaves_at(end: float, path: _Path, dx: float, speed: Speed) -> None:
     """
     last, velocity = path.sightings[-1], speed(path.sightings[-1])
     here = last.x + velocity * (end - path.times[-1])
-    if here - path.sightings[0].x <= BACK * dx:
+    if here - path.sightings[0].x <= SCATTER_BACK * dx:
         return
-    if (path.end.event == "exit" if path.end else path.times[-1] == end) and -BACK * dx <= here < 0.0:
+    if (path.end.event == "exit" if path.end else path.times[-1] == end) and -SCATTER_BACK * dx <= here < 0.0:
         path.end = Event(end, "exit", 0, None, 0.0)
 
 
 def _merge(loser: _Path, winner: _Path, dx: float, speed: Speed) -> None:
     """End `loser` where it meets `winner`, by extrapolation, because touching shocks are joined too early."""
-    common = sorted(set(loser.times) & set(winner.times))[-MEMORY:]
+    common = sorted(set(loser.times) & set(winner.times))[-SIGHTINGS_OF_MERGE:]
     xs = [np.array([p.sightings[p.times.index(t)].x for t in common]) for p in (loser, winner)]
     if abs(xs[1][-1] - xs[0][-1]) > WIDEST_SHOCK * dx:  # they did not touch: one was too weak or too wide
         return
@@ -315,11 +317,11 @@ def _merge_lost(paths: list[_Path], end: float, dx: float, speed: Speed) -> None
     """Merge each lost path into a surviving neighbour that it approached."""
     for lost in sorted((p for p in paths if p.end is None and p.times[-1] < end), key=lambda p: p.times[-1]):
         t, x = lost.times[-1], lost.sightings[-1].x
-        beside = [p for p in paths if p is not lost and p.times[0] <= t < p.times[-1] and t in p.times]
-        beside.sort(key=lambda p: abs(p.sightings[p.times.index(t)].x - x))
-        if not beside:
+        neighbours = [p for p in paths if p is not lost and p.times[0] <= t < p.times[-1] and t in p.times]
+        neighbours.sort(key=lambda p: abs(p.sightings[p.times.index(t)].x - x))
+        if not neighbours:
             continue
-        other = beside[0]
+        other = neighbours[0]
         gap = other.sightings[other.times.index(t)].x - x
         closing = (speed(lost.sightings[-1]) - speed(other.sightings[other.times.index(t)])) * np.sign(gap)
         if abs(gap) > WIDEST_SHOCK * dx or closing <= 0:
@@ -337,7 +339,7 @@ def _merge_lost(paths: list[_Path], end: float, dx: float, speed: Speed) -> None
         _merge(lost, other, dx, speed)
 
 
-def _settle(path: _Path, end: float, dx: float) -> None:
+def _assign_merge(path: _Path, end: float, dx: float) -> None:
     """Assign a merge to the surviving kink, or discard it if that kink has merged before or is unresolved there."""
     event, other = path.end, path.into
     assert event and other
@@ -393,9 +395,9 @@ def _measured_speed(path: _Path, i: int, turns: Sequence[float], dx: float) -> f
     if not whole[i]:
         return float("nan")
     t, x, far = (a[whole & (side == side[i])] for a in (t - t[i], x, np.abs(x - x[i])))
-    near = far <= max(NEARBY * dx, float(np.sort(far)[min(FEWEST, far.size) - 1]))
+    near = far <= max(NEARBY * dx, float(np.sort(far)[min(FEWEST_SIGHTINGS, far.size) - 1]))
     t, x = t[near], x[near]
-    if t.size < FEWEST - 1 or np.ptp(x) < LEAST_SPAN * dx:
+    if t.size < FEWEST_SIGHTINGS - 1 or np.ptp(x) < LEAST_SPAN * dx:
         return float("nan")
     scale = float(np.ptp(t))
     cubic = np.polyfit(t / scale, x, min(3, t.size - 2))

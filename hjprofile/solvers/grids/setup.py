@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
-from hjprofile.solvers.grids.bounds_monitor import Promises
+from hjprofile.solvers.grids.bounds_monitor import Guarantees
 from hjprofile.solvers.grids.scheme import Scheme
 from hjprofile.solvers.run import Monitor, Run, State
 
@@ -31,5 +31,5 @@ class Setup(NamedTuple):
     """Set-up of a problem on a grid: the scheme, the bounds that it satisfies, and the additions of its model."""
 
     scheme: Callable[[Problem, Grid, float | None], Scheme]
-    promises: Promises
+    guarantees: Guarantees
     extension: Callable[[Problem, Grid, Scheme], Extension] | None = None

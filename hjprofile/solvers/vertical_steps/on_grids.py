@@ -49,11 +49,11 @@ class SecondOrderTelescoping(FirstOrder):
         super().__init__(law, grid, q, W_left, inflow, flux)
         self.cfl_limit = 0.5
         self.steep = float(telescoping.steepest_slope(grid.dx, step_law(law.law)))
-        self.room = np.empty((4, grid.cells))
+        self.work = np.empty((4, grid.cells))
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
         self.save()
-        f, df, *dq = self.room
+        f, df, *dq = self.work
         fastest = 0.0
         for _ in range(steps):
             q = self.q

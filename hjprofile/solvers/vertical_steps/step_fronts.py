@@ -21,7 +21,7 @@ from hjprofile.solvers.vertical_steps.kernels.step_motion import StepControl, St
 from hjprofile.solvers.vertical_steps.kernels.step_transitions import transitions
 from hjprofile.solvers.vertical_steps.kernels.steps import StepFronts, StepLaw, StepSides
 
-PIECE = 0.1  # width of the pieces in ln(1+q): degree 7 leaves (PIECE/4)^8 = 2e-13
+V_PIECE = 0.1  # width of the pieces in ln(1+q): degree 7 leaves (PIECE/4)^8 = 2e-13
 END = np.log(1e12)  # ln(1+q) of an infinite slope: the remainder of R is then 1e-12
 REACH = 4.0  # spacings that the fastest front may cross in a step: the error in time is then below that in space
 TOLERANCE = 1e-12  # of the exact integration
@@ -37,20 +37,20 @@ def step_law(law: ErosionLaw, q_least: float = -0.5) -> StepLaw:
     In a piece of constant I, R' q_x = -q: dx/dv = -R' e^v/q. The distance from q = ∞ is summed from there. Around q =
     0, where it is infinite, y = 1 - σ with σ = exp(-rate d) from d ln|σ|/dv = rate R' e^v/q.
     """
-    below, above = int(np.ceil(-np.log1p(q_least) / PIECE + 0.5)), int(np.ceil(END / PIECE))
-    start, pieces = -(below + 0.5) * PIECE, below + above + 1
-    left = start + PIECE * np.arange(pieces)
-    v = left[:, None] + 0.5 * PIECE * (_Z + 1.0)
+    below, above = int(np.ceil(-np.log1p(q_least) / V_PIECE + 0.5)), int(np.ceil(END / V_PIECE))
+    start, pieces = -(below + 0.5) * V_PIECE, below + above + 1
+    left = start + V_PIECE * np.arange(pieces)
+    v = left[:, None] + 0.5 * V_PIECE * (_Z + 1.0)
     q = np.expm1(v)
     r, slope = law.R(q), law.R_derivative(q)
     r0, rate = float(law.R(0.0)), 1.0 / float(law.R_derivative(0.0))
 
     def primitive(values: Array) -> Array:
         """Return the coefficients of ∫ over each piece from its left end."""
-        return P.polyint((values @ _FIT).T, lbnd=-1.0, axis=0) * (0.5 * PIECE)
+        return P.polyint((values @ _FIT).T, lbnd=-1.0, axis=0) * (0.5 * V_PIECE)
 
     gap = slope * np.exp(v) / q  # -dx/dv
-    joint = below + 1 + int(np.ceil(np.log(2.0) / PIECE))  # the first piece in which distances are summed
+    joint = below + 1 + int(np.ceil(np.log(2.0) / V_PIECE))  # the first piece in which distances are summed
     distance = primitive(gap)
     to_the_end = np.append(np.cumsum(P.polyval(1.0, distance[:, joint:])[::-1])[::-1], 0.0)
     d = to_the_end[:-1, None] - P.polyval(_Z, distance[:, joint:])
@@ -77,7 +77,7 @@ def step_law(law: ErosionLaw, q_least: float = -0.5) -> StepLaw:
     )
     r_at, age_at = (np.append(P.polyval(-1.0, t.T), P.polyval(1.0, t[-1])) for t in (r_table, age_table))
     return StepLaw(
-        r_table, age_table, df_table, area_table, r_at, age_at, start, 1.0 / PIECE, float(left[-1] + PIECE),
+        r_table, age_table, df_table, area_table, r_at, age_at, start, 1.0 / V_PIECE, float(left[-1] + V_PIECE),
         r0, float(r_at[-1]), law.eta0, rate,
     )  # fmt: skip
 

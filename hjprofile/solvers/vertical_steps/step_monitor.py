@@ -22,8 +22,8 @@ from hjprofile.solvers.vertical_steps.kernels import steps as kernels
 from hjprofile.solvers.vertical_steps.kernels.steps import StepLaw
 from hjprofile.solvers.vertical_steps.kernels.telescoping import WIDEST_LAYER
 
-NEAR = 4.0  # distance from a vertical slope, in cells; slopes as steep as there may be vertical steps
-LEAST = 1.5  # smallest height, relative to the decrease of R within a cell of a vertical slope
+STEEP_DISTANCE = 4.0  # distance from a vertical slope, in cells; slopes as steep as there may be vertical steps
+LEAST_HEIGHT = 1.5  # smallest height, relative to the decrease of R within a cell of a vertical slope
 LEAST_LIFE = 3  # smallest number of sightings of a vertical step
 
 
@@ -39,7 +39,7 @@ class Layer(NamedTuple):
 
 def find_steps(q: Array, x_left: float, dx: float, f: Array, law: StepLaw) -> list[Layer]:
     """Return the vertical steps from left to right, for cell means q and f(q) from x_left on."""
-    steep = np.expm1(kernels.v_of(-np.expm1(-law.rate * NEAR * dx), law))
+    steep = np.expm1(kernels.v_of(-np.expm1(-law.rate * STEEP_DISTANCE * dx), law))
     if not np.max(q) > steep:
         return []
     least = least_height(dx, law)
@@ -87,7 +87,7 @@ def _fit(W: Array, x_a: float, x_b: float, v: Array, law: StepLaw) -> tuple[floa
     from scipy.optimize import brentq
 
     dx = (x_b - x_a) / (W.size - 1)
-    held = dx * (np.sum(W) - 0.5 * (W[0] + W[-1]))
+    area_of_layer = dx * (np.sum(W) - 0.5 * (W[0] + W[-1]))
     y = [kernels.y_of(one, law) for one in v]
     I = W[0] + kernels.r_of(v[0], law), W[-1] + kernels.r_of(v[1], law)
 
@@ -102,7 +102,7 @@ def _fit(W: Array, x_a: float, x_b: float, v: Array, law: StepLaw) -> tuple[floa
             vertical = level * (law.r_most - law.r0)
         return float(
             (I[0] - law.r0) * (x - x_a) - (area[0] - area[1])
-            + (I[1] - law.r0) * (x_b - x) - (area[2] - area[3]) - vertical - held
+            + (I[1] - law.r0) * (x_b - x) - (area[2] - area[3]) - vertical - area_of_layer
         )  # fmt: skip
 
     if not over(x_a) > 0.0 > over(x_b):
@@ -117,7 +117,7 @@ def _fit(W: Array, x_a: float, x_b: float, v: Array, law: StepLaw) -> tuple[floa
 def least_height(dx: float, law: StepLaw) -> float:
     """Return the smallest height at which a vertical step is found on cells of width dx."""
     y_cell = -np.expm1(-law.rate * dx)
-    return LEAST * float(law.r_most - kernels.r_of(kernels.v_of(y_cell, law), law))
+    return LEAST_HEIGHT * float(law.r_most - kernels.r_of(kernels.v_of(y_cell, law), law))
 
 
 def with_dates(
@@ -151,8 +151,8 @@ class StepMonitor:
 
     checkpoint_fields: tuple[str, ...] = ("t", "count", "gone", "living", "rows", "log", "seen")
 
-    def __init__(self, law: StepLaw, grid: Grid, kept: Array, f: Function):
-        self.law, self.grid, self.kept, self.f = law, grid, kept, f
+    def __init__(self, law: StepLaw, grid: Grid, saved_times: Array, f: Function):
+        self.law, self.grid, self.saved_times, self.f = law, grid, saved_times, f
         self.t, self.count = 0.0, 0
         self.gone = (0.0, 0.0)  # width of the last layer that left at the crest; time until which it is found
         self.living = np.empty((0, 5))  # number, x, height, speed, width
@@ -209,7 +209,7 @@ class StepMonitor:
             self.seen[numbers[i]] += 1
         rows = [(n, s.x, s.height, s.speed, s.right - s.left) for n, s in zip(numbers, found, strict=True)]
         self.living, self.t = np.array(rows).reshape(-1, 5), state.t
-        if state.t in self.kept:
+        if state.t in self.saved_times:
             self.rows = np.vstack([self.rows, np.insert(self.living[:, :4], 0, state.t, axis=1)])
 
     def _note(self, t: float, kind: int, number: float, into: float, x: float) -> None:

@@ -272,10 +272,7 @@ def bracket_labels(k, off, r, X, mesh, rule, w):
     left = fold(-1.0, k, r, X, mesh, rule, w)
     if not (left >= 0.0 and right >= 0.0):
         return False
-    low, high = (
-        at_joint(1.0, k, right, r, X, mesh, rule, w)[1],
-        at_joint(-1.0, k, left, r, X, mesh, rule, w)[1],
-    )
+    low, high = at_joint(1.0, k, right, r, X, mesh, rule, w)[1], at_joint(-1.0, k, left, r, X, mesh, rule, w)[1]
     if not low < high:
         return False
     b0 = b1 = 0.0
