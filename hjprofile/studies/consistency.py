@@ -219,7 +219,7 @@ def _completed(runs: Runs) -> Iterator[Check]:
         mine = {n: r for (m, n), r in runs.items() if m == method}
         broken = [float(not r.done) + sum(not b.holds for b in r.bounds.values()) for r in mine.values()]
         stopped = [r.status for r in mine.values() if not r.done]
-        rule = stopped[0] if stopped else "every run ends and keeps its bounds"
+        rule = stopped[0] if stopped else "every run ends and satisfies its bounds"
         yield Check(f"bounds:{method}", list(mine), broken, None, 0.0, sum(broken) == 0, rule)
 
 

@@ -24,7 +24,7 @@ MOST_MEMBERS = 100_000  # largest number of members; each is built before the fi
 _UNREAD = ("title", "output", "expect")  # sections of a case that do not change its run
 
 QUANTITIES = {  # name -> description
-    "end": "last saved time, mass of grains poured in",
+    "end": "last saved time, supplied mass of grains",
     "cells": "cells of the grid",
     "steps": "time steps",
     "eroded_volume": "integral of u(0,x) - u(end,x)",
@@ -33,16 +33,16 @@ QUANTITIES = {  # name -> description
     "crest_lowering": "u(0,0) - u(end,0)",
     "largest_lowering": "largest u(0,x) - u(end,x)",
     "largest_rise": "largest u(end,x) - u(0,x)",
-    "q_min": "least excess slope at the end, mean over a cell",
+    "q_min": "smallest excess slope at the end, mean over a cell",
     "q_max": "largest excess slope at the end, mean over a cell",
-    "K_foot": "nonlocal factor at the left end at the end: flux of grains relative to the flux poured in",
+    "K_foot": "grain flux at the left end at the end, relative to the supply",
     "kinks_at_end": "kinks at the end",
     "births": "births of kinks",
     "merges": "merges of kinks",
-    "exits": "exits of kinks at the top",
-    "kink_x": "where the strongest kink is at the end",
+    "exits": "exits of kinks at the crest",
+    "kink_x": "position of the strongest kink at the end",
     "kink_jump": "jump of q over the strongest kink at the end",
-    "error_estimate": "of u over all saved times, where the method knows one",
+    "error_estimate": "of u over all saved times, if the method provides one",
 }
 
 

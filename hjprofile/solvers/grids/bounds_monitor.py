@@ -17,7 +17,8 @@ ROUNDING_ERROR = 1e-10  # relative; 1e5 steps sum errors of 1e-16 each, in the w
 EXACT, FIRST_ORDER = "rounding", "first order in dx"  # accuracy to which a method satisfies a bound
 
 # Accuracy to which a method satisfies each bound, None if it is not guaranteed. The first mapping is for monotone
-# schemes in conservation form. A local viscosity depends on q, so it is not monotone; nor is a higher order.
+# schemes in conservation form. A local viscosity depends on q, so the scheme is not monotone. Schemes of higher order
+# are not monotone either.
 Guarantees = Mapping[str, str | None]
 MONOTONE: Guarantees = MappingProxyType(
     {
