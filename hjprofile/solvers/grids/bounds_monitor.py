@@ -13,7 +13,7 @@ from hjprofile.solvers.grids.flux import Flux
 from hjprofile.solvers.grids.kernels import watch
 from hjprofile.solvers.run import Array, Halt, State, Verdict
 
-ROUNDING_ERROR = 1e-10  # relative; 1e5 steps sum errors of 1e-16 each, in the worst case all of one sign
+ROUNDOFF = 1e-10  # relative rounding error; 1e5 steps sum errors of 1e-16 each, in the worst case all of one sign
 EXACT, FIRST_ORDER = "rounding", "first order in dx"  # accuracy to which a method satisfies a bound
 
 # Accuracy to which a method satisfies each bound, None if it is not guaranteed. The first mapping is for monotone
@@ -148,49 +148,39 @@ class BoundsMonitor:
             self.growth_allowed += (t - self.t) * max(self.tv_source, tv_source) * K_ratio
         self.t, self.rate, self.tv_source, self.steps_observed = t, rate, tv_source, state.steps
 
-        rounding = ROUNDING_ERROR * (self.scale + state.crest_lowering + self.inflow * t)
-        first_order = dx * variation
+        rounding = ROUNDOFF * (self.scale + state.crest_lowering + self.inflow * t)
+        dx_tv = dx * variation
         self.crest_lowering, self.toe_outflow = state.crest_lowering, t + state.toe_gain
         self._record("mass_budget", rounding, mass - self.mass + state.crest_lowering - self.inflow * t)
         self.eroded_volume = self.first_volume - state.volume()
         off = abs(self.eroded_volume - state.toe_gain)
         self.budget_error = max(self.budget_error, off)
-        small = ROUNDING_ERROR * (1.0 + abs(state.toe_gain) + t + abs(self.first_volume))
+        small = ROUNDOFF * (1.0 + abs(state.toe_gain) + t + abs(self.first_volume))
         exactly = self.guarantees.get("volume_budget") == EXACT
         self._record("volume_budget", small + (0.0 if exactly else self.budget_allowance), off)
 
         def place(index: int) -> float:
             return float(grid.centres[state.first + index])
 
-        self._record(
-            "minimum_principle", ROUNDING_ERROR, self.floor - least, first_order, lambda: place(int(np.argmin(q)))
-        )
+        self._record("minimum_principle", ROUNDOFF, self.floor - least, dx_tv, lambda: place(int(np.argmin(q))))
         if self.inflow:
             return self._judge(state)
         wrong = -least if self.sign > 0 else most
-        self._record("signs", ROUNDING_ERROR, wrong, first_order, lambda: place(int(np.argmax(-self.sign * q))))
-        self._record("l1_decay", rounding, norm - self.norm, first_order)
+        self._record("signs", ROUNDOFF, wrong, dx_tv, lambda: place(int(np.argmax(-self.sign * q))))
+        self._record("l1_decay", rounding, norm - self.norm, dx_tv)
         self.norm = min(norm, self.norm)
         self._record(
-            "factor_bounds",
-            self.ln_K_bound_above + rounding,
-            ln_K_max,
-            first_order,
-            lambda: place(int(np.argmax(ln_K[:-1]))),
+            "factor_bounds", self.ln_K_bound_above + rounding, ln_K_max, dx_tv, lambda: place(int(np.argmax(ln_K[:-1])))
         )
         self._record(
-            "factor_bounds", self.ln_K_bound_below + rounding, -ln_K_min, first_order,
+            "factor_bounds", self.ln_K_bound_below + rounding, -ln_K_min, dx_tv,
             lambda: place(int(np.argmin(ln_K[:-1]))),
         )  # fmt: skip
         above = float(self.law.R(most)) - self.R0
-        self._record("upper_bound", self.highest + rounding, above, first_order, lambda: place(int(np.argmax(q))))
-        tv_gain = variation - self.variation
+        self._record("upper_bound", self.highest + rounding, above, dx_tv, lambda: place(int(np.argmax(q))))
+        gain = variation - self.variation
         self._record(
-            "tv_growth",
-            self.growth_allowed + rounding,
-            tv_gain,
-            first_order,
-            lambda: place(int(np.argmax(np.abs(np.diff(q))))),
+            "tv_growth", self.growth_allowed + rounding, gain, dx_tv, lambda: place(int(np.argmax(np.abs(np.diff(q)))))
         )
         if "kruzkov" in self.guarantees and state.dt > 0.0 and state.steps - self.steps_frozen >= self.FROZEN_STEPS:
             self.steps_frozen = state.steps
@@ -204,10 +194,10 @@ class BoundsMonitor:
     def _compare(self, F: Array, most: float, variation: float, ln_K_max: float) -> None:
         """Compare sup|F| and TV(F) with their values before."""
         # rounding of F, and of the differences of K that telescoping fluxes divide by dx
-        rounding = ROUNDING_ERROR * float(np.abs(F).max()) + 1e-15 * ln_K_max / self.grid.dx
+        rounding = ROUNDOFF * float(np.abs(F).max()) + 1e-15 * ln_K_max / self.grid.dx
         self._record("flux_maximum", rounding, float(np.abs(F).max()) - most)
         varied = float(np.abs(np.diff(F)).sum())
-        self._record("flux_variation", F.size * rounding + ROUNDING_ERROR * varied, varied - variation)
+        self._record("flux_variation", F.size * rounding + ROUNDOFF * varied, varied - variation)
 
     def _freeze(self, state: State, K: Array, most: float, place: Callable[[int], float]) -> None:
         """Check one step with K frozen, from q and from its maximum and minimum with a constant."""
@@ -229,20 +219,15 @@ class BoundsMonitor:
         steps = [step(y)[0] for y in (np.full(q.size, alpha), np.maximum(q, alpha), np.minimum(q, alpha))]
         excess = (np.abs(after - steps[0]) - (steps[1] - steps[2]))[1:-1]  # the flux at the ends is prescribed
         worst = int(np.argmax(excess))
-        self._record("kruzkov", ROUNDING_ERROR * (1.0 + most), float(excess[worst]), 0.0, lambda: place(worst + 1))
+        self._record("kruzkov", ROUNDOFF * (1.0 + most), float(excess[worst]), 0.0, lambda: place(worst + 1))
 
     def _record(
-        self,
-        name: str,
-        allowed: float,
-        excess: float,
-        first_order: float = 0.0,
-        place: Callable[[], float] = lambda: np.nan,
+        self, name: str, allowed: float, excess: float, dx_tv: float = 0.0, place: Callable[[], float] = lambda: np.nan
     ) -> None:
-        """Record the worst margin; `first_order` is an additional allowance of bounds that hold to first order."""
+        """Record the worst margin; `dx_tv` is an additional allowance of bounds that hold to first order."""
         if name not in self.guarantees:
             return
-        allowed += first_order if self.guarantees[name] == FIRST_ORDER else 0.0
+        allowed += dx_tv if self.guarantees[name] == FIRST_ORDER else 0.0
         margin = 1.0 - max(abs(excess) if name == "mass_budget" else excess, 0.0) / allowed
         row = self.worst[list(self.guarantees).index(name)]
         if not margin >= row[0]:
