@@ -56,7 +56,7 @@ class Halt(Exception):
 
 
 class Breakdown(Exception):
-    """The state is no longer admissible, at `cell` with the excess slope `q`; `first` is the grid cell of q[0]."""
+    """A loss of admissibility at `cell` with the excess slope `q`; `first` is the grid cell of q[0]."""
 
     def __init__(self, q: Array, K: Array, first: int = 0):
         bad = ~(np.isfinite(q) & (q > -1.0))

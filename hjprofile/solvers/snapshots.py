@@ -18,7 +18,7 @@ from hjprofile.solvers.stop import Stop, Stopped
 
 
 class Lost(Stopped):
-    """A solution cannot continue."""
+    """A solution that cannot continue."""
 
 
 class Solution:

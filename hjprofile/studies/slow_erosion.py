@@ -36,13 +36,13 @@ class Departure(NamedTuple):
 def slow_erosion(problem: Problem, grid: Grid, supply_fluxes: Sequence[float], cfl: float = 0.9) -> list[Departure]:
     """Solve [eq2] for each supply flux, and [eq1], all with the same numerical flux on the same grid.
 
-    - `problem`: the case without a rolling layer.
+    - `problem`: the problem without a rolling layer.
     - `grid`: left end and number of cells.
-    - `supply_fluxes`: values of ε > 0, the thickness of the layer at the crest of a neutral slope.
+    - `supply_fluxes`: values of ε > 0, the thickness of the rolling layer at the crest of a neutral slope.
     - `cfl`: the time step as a fraction of the largest one that the method admits.
 
-    Return a `Departure` for the limit, with the supply flux 0, then one for each supply flux. Raise InputError for
-    invalid input, and RunError if a run does not reach its end.
+    Return a list of `Departure`: that of the limit, with the supply flux 0, then one for each supply flux. Raise
+    InputError for invalid input, and RunError if a run does not reach its end.
 
     >>> import hjprofile as hj
     >>> problem = hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0)

@@ -72,7 +72,7 @@ class HamiltonJacobi:
 
 
 class HighOrderHamiltonJacobi(HighOrder):
-    """W_t = -F with F = K f(q⁻) and q⁻ reconstructed from the difference quotients of W."""
+    """The scheme W_t = -F with F = K f(q⁻) and q⁻ reconstructed from the difference quotients of W."""
 
     @property
     def W(self) -> Array:

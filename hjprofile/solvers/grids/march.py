@@ -34,7 +34,7 @@ NOBODY: Mapping[str, Any] = MappingProxyType({})
 
 
 class _StepTooSmall(Exception):
-    """The time step is below STEP_FLOOR."""
+    """A time step below STEP_FLOOR."""
 
 
 @dataclass
