@@ -33,6 +33,7 @@ IMPERATIVES = set(
     set settle shift show simulate skip smooth solve sort split start state stop store stream subtract sum supply
     sweep take terminate test thin trace track transform translate treat trim truncate try turn undo update use
     validate vary verify visit wait walk warn weigh widen wrap write yield
+    allocate bracket clip disturb notify offer reassign shorten
     """.split()
 )
 

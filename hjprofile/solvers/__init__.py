@@ -1,1 +1,1 @@
-"""How it is solved."""
+"""The solution methods."""

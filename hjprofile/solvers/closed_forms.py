@@ -1,6 +1,6 @@
-"""Solutions known exactly: steady slopes, and one kink that travels into a critical or a steady one (theory, §6).
+"""Closed forms: steady slopes, and one kink that moves into a neutral or a steady slope (theory, §6).
 
-All are a moving cut: at every time the solution is a profile of `problem.profiles` with its kink at s(t).
+In each of them the solution at any time is a profile of `problem.profiles` with its kink at s(t).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hjprofile.solvers.run import Array, Event, KinkRecord, Run
 from hjprofile.solvers.snapshot_bounds import BOUNDS, SnapshotBounds
 from hjprofile.solvers.snapshots import Solution, assembled, walk
 
-ROUNDING = 1e-13  # of u of order 1; measured 2e-14 at most for rational laws, 1e-12 for others, which the volume shows
+CLOSED_FORM_ERROR = 1e-13  # of u of order 1; measured: 2e-14 for rational laws, 1e-12 for others, as the volume shows
 
 
 @dataclass(frozen=True)
@@ -31,11 +31,11 @@ class ClosedForm:
     """An exact solution with at most one kink.
 
     Attributes:
-        path: t -> s(t), the place of the kink before exit_time; -inf where there is none.
+        path: t -> s(t), the position of the kink before exit_time; -inf if there is none.
         at: s -> the profile with its kink at s.
         factor: (s, x) -> K at x >= s, an array. Left of s q = 0, and K is constant.
-        exit_time: when the kink reaches x = 0: from then on the slope is flat.
-        sinking: rate at which u falls at the left end, the flux that enters there.
+        exit_time: the time at which the kink reaches x = 0; from then on the slope is neutral.
+        sinking: rate at which u decreases at the left end, which is the flux that enters there.
     """
 
     law: ErosionLaw
@@ -46,29 +46,29 @@ class ClosedForm:
     sinking: float = 0.0
 
     def kink(self, t: float) -> float:
-        """Where the kink is at time t; NaN where there is none."""
+        """Return the position of the kink at time t; NaN if there is none."""
         s = self.path(t) if t < self.exit_time else np.nan
         return s if np.isfinite(s) else np.nan
 
     def u(self, t: float, x: Array) -> Array:
-        """Height at x (increasing); u = x left of the kink, or at x[0] at time 0 if a flux enters there."""
+        """Return the height at x (increasing); u = x left of the kink, or at x[0] at time 0 if a flux enters there."""
         if t >= self.exit_time:
             return x.copy()
         return x + self.at(self.path(t)).W(x, self.law) - self.sinking * t
 
     def q_means(self, t: float, grid: Grid) -> Array:
-        """Exact cell means of q."""
+        """Return the exact cell means of q."""
         return self.at(self.path(t)).q_means(grid, self.law) if t < self.exit_time else np.zeros(grid.cells)
 
     def K(self, t: float, x: Array) -> Array:
-        """The nonlocal factor at x."""
+        """Return the grain flux K at x."""
         if t >= self.exit_time:
             return np.ones_like(x)
         s = self.path(t)
         return self.factor(s, np.maximum(x, s))
 
     def eroded(self, t: float, x: float) -> float:
-        """∫_x^0 (u(0,y) - u(t,y)) dy = ∫_0^t (K(τ,x) - 1) dτ (theory, §6g), by quadrature of the latter."""
+        """Return ∫_x^0 (u(0,y) - u(t,y)) dy = ∫_0^t (K(τ,x) - 1) dτ (theory, §6g), by quadrature of the latter."""
         from scipy.integrate import quad
         from scipy.optimize import brentq
 
@@ -84,7 +84,7 @@ class ClosedForm:
 
 
 def closed_form(problem: Problem) -> ClosedForm | None:
-    """The exact solution of a problem with the nonlocal factor whose data are one of those below; None for others."""
+    """Return the exact solution of a problem with the nonlocal K if its data have one of the forms below; else None."""
     if isinstance(problem.model, Prescribed):
         return None
     match problem.profile:
@@ -123,7 +123,7 @@ class _Evaluated(Solution):
 
     @property
     def totals(self) -> tuple[float, float]:  # type: ignore[override]
-        """∫(K_left - 1) dt, and the crest lowering."""
+        """The integral ∫(K_left - 1) dt, and the crest lowering."""
         left = float(self.grid.nodes[0])
         return self.form.eroded(self.t, left), float(self.u[0.0][-1] - self.u[self.t][-1])
 
@@ -137,13 +137,13 @@ class _Evaluated(Solution):
 
 
 def evaluate(form: ClosedForm, problem: Problem, grid: Grid) -> Run:
-    """The exact solution as a run on a grid. Its error is estimated by two expressions of the volume."""
+    """Return the exact solution as a run on a grid. Two expressions of the volume give the estimate of its error."""
     started = time.perf_counter()
     times, judged = problem.times, [0.0, problem.end]
     solution = _Evaluated(form, grid, np.unique(np.append(times, judged)))
     u = np.array([solution.u[t] for t in times.tolist()])
     scale = 1.0 + float(np.abs(u - grid.nodes).max())
-    allowed = dict.fromkeys(BOUNDS, (100.0 * ROUNDING * scale, "rounding"))
+    allowed = dict.fromkeys(BOUNDS, (100.0 * CLOSED_FORM_ERROR * scale, "rounding"))
     watch = SnapshotBounds(grid, float(solution.u[0.0][-1]), _volume(form, 0.0, grid), allowed)
     run = assembled("closed form", solution, walk(solution, problem, grid, watch, judged=judged), watch, problem, grid)
     return replace(
@@ -152,12 +152,12 @@ def evaluate(form: ClosedForm, problem: Problem, grid: Grid) -> Run:
         u=u,  # as the formula gives it
         q=np.diff(u, axis=1) / grid.dx - 1.0,
         wall_seconds=time.perf_counter() - started,
-        error_estimate=10.0 * max(watch.budget_error, ROUNDING * scale),
+        error_estimate=10.0 * max(watch.budget_error, CLOSED_FORM_ERROR * scale),
     )
 
 
 def _volume(form: ClosedForm, t: float, grid: Grid) -> float:
-    """∫(u - x) dx over the grid, by Gauss-Legendre quadrature right of the kink."""
+    """Return ∫(u - x) dx over the grid, by Gauss-Legendre quadrature right of the kink."""
     s = form.kink(t)
     edges = np.linspace(grid.left if np.isnan(s) else s, 0.0, 17)
     z, weights = np.polynomial.legendre.leggauss(16)
@@ -172,12 +172,12 @@ def _one_kink(amplitude: float) -> Callable[[float], Profile]:
 
 
 def steady_slope(law: ErosionLaw, flux: float) -> ClosedForm:
-    """§6e: q = f⁻¹(a/(1 - a x)) for ever, sinking at the rate a; the flux a enters at the left end."""
+    """Return §6e: q = f⁻¹(a/(1 - a x)) at all times, sinking at the rate a; the flux a enters at the left end."""
     return ClosedForm(law, lambda t: -np.inf, lambda s: Steady(flux), lambda s, x: 1.0 - flux * x, np.inf, flux)
 
 
 def travelling_kink(law: ErosionLaw, amplitude: float, start: float) -> ClosedForm:
-    """§6a-b: q = Q(x - s(t)) right of s, Q(0) = amplitude, R'(Q) Q' = -Q; s' = 1/R(Q(-s))."""
+    """Return §6a-b: q = Q(x - s(t)) right of s, Q(0) = amplitude, R'(Q) Q' = -Q; s' = 1/R(Q(-s))."""
     at = _one_kink(amplitude)
 
     def factor(s: float, x: Array) -> Array:
@@ -193,7 +193,7 @@ def travelling_kink(law: ErosionLaw, amplitude: float, start: float) -> ClosedFo
 
         return ClosedForm(law, path_by_lambert, at, factor, -start + amplitude * -np.expm1(start))
 
-    # the last of the way, x = -y, takes dT/dy = R(Q(y)); ln Q is a second state
+    # the remaining time T(y) at x = -y satisfies dT/dy = R(Q(y)); ln Q is a second state
     def rates(y: float, state: Array) -> list[float]:
         q = np.exp(state[1])
         return [float(law.R(q)), -1.0 / float(law.R_derivative(q))]
@@ -203,7 +203,7 @@ def travelling_kink(law: ErosionLaw, amplitude: float, start: float) -> ClosedFo
 
 
 def travelling_wave(law: ErosionLaw, amplitude: float, start: float) -> ClosedForm:
-    """§13: the kink of §6b on the whole line moves with the constant speed f'(0), whatever its amplitude; K(∞) = 1."""
+    """Return §13: the kink of §6b on the whole line moves with the constant speed f'(0) for any amplitude; K(∞) = 1."""
     at = _one_kink(amplitude)
 
     def factor(s: float, x: Array) -> Array:
@@ -213,7 +213,7 @@ def travelling_wave(law: ErosionLaw, amplitude: float, start: float) -> ClosedFo
 
 
 def kink_into_steady_slope(law: ErosionLaw, flux: float, start: float) -> ClosedForm:
-    """§6f: q = 0 left of s(t), the steady slope of that flux right of it; s' = flux/q(s⁺)."""
+    """Return §6f: q = 0 left of s(t), the steady slope of that flux right of it; s' = flux/q(s⁺)."""
     at = partial(Steady, flux)
 
     def factor(s: float, x: Array) -> Array:
@@ -232,7 +232,7 @@ def kink_into_steady_slope(law: ErosionLaw, flux: float, start: float) -> Closed
 def _path(
     rates: Callable[[float, Array], list[float]], distance: float, state: list[float]
 ) -> tuple[Callable[[float], float], float]:
-    """The place of a kink over time, and its exit time, from dT/dy: T is the time that the last distance y takes."""
+    """Return the position of a kink over time, and its exit time, from dT/dy: T is the time for the last distance y."""
     from scipy.integrate import solve_ivp
     from scipy.optimize import brentq
 

@@ -11,16 +11,16 @@ from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import Kinks
 from hjprofile.solvers.run import Array
 
-COARSE, FINE = 64, 8192  # intervals of a sample where the profile states its scales, and where it does not
-PARTS = 4  # of each interval between two marks of a profile
-MOST_PARTS = 64  # of an interval in which the slope changes by more than the requested part
+COARSE, FINE = 64, 8192  # intervals of a sample if the profile states its scales, and otherwise
+PARTS = 4  # parts of each interval between two marks of a profile
+MOST_PARTS = 64  # largest number of parts of an interval with a large change of slope
 NEAREST = 1e-11  # smallest distance of two positions, relative to x: q = ΔW/Δx has an error of 1e-16/1e-11
-SLOPE, FLUX = 0.1, 0.2  # largest error of q, as a part of ‖q‖₁, and of ln K
-FALL = 0.05  # largest error by an expansion shock, as a part of the range of W
+SLOPE, FLUX = 0.1, 0.2  # largest error of q, as a fraction of ‖q‖₁, and of ln K
+FALL = 0.05  # largest error by an expansion shock, as a fraction of the range of W
 
 
 class Sample(NamedTuple):
-    """A profile at places x, shape (n,), W = u - x and ln K there, and the means q between them, shape (n - 1,)."""
+    """A profile at positions x, shape (n,), with W = u - x and ln K there, and the means q between them, (n - 1,)."""
 
     x: Array
     W: Array
@@ -31,7 +31,7 @@ class Sample(NamedTuple):
 class Resolution(NamedTuple):
     """Errors of discretised data: sup|W_d - W|, ‖q_d - q‖₁/‖q‖₁ and sup|ln K_d - ln K|, all at t = 0.
 
-    `fall` is the error of W, as a part of its range, that comes from one front which carries a fall of q as a shock.
+    `fall` is the error of W, as a fraction of its range, caused by one front that carries a fall of q as a shock.
     """
 
     height: float
@@ -67,8 +67,8 @@ def fine_sample(
 ) -> Sample:
     """Return a Sample of the profile on [left, right], on all its scales and with the positions `also`.
 
-    Where ln(1 + q) changes from one interval to the next by more than `part` of its range, both are divided further.
-    A larger change that remains is a jump that the profile does not state.
+    If ln(1 + q) changes from one interval to the next by more than `part` of its range, both are divided further. A
+    larger change that remains is a jump that the profile does not state.
     """
     profile, law = problem.profile, problem.law
     breaks, stated = profile.breaks(law)[:, 0], profile.marks()
@@ -118,7 +118,7 @@ def cells_resolve(problem: Problem, grid: Grid) -> Resolution:
     """Return the errors of cell means on a grid, whose W is exact at the nodes."""
     profile, law = problem.profile, problem.law
     if isinstance(profile, Kinks) and grid.dx <= SLOPE * float(np.min(law.R_derivative(profile.amplitudes))):
-        return EXACT  # q decays over R'(q), so that a sample, costly under most laws, shows nothing
+        return EXACT  # q decays over R'(q): a sample, costly under most laws, is unnecessary
     sample = fine_sample(problem, grid.left, grid.right, grid.nodes)
     W = np.interp(sample.x, grid.nodes, np.interp(grid.nodes, sample.x, sample.W))  # the sample holds the nodes
     return compare_data(problem, sample, W, _ln_K(problem, sample.x, np.diff(W) / np.diff(sample.x)))

@@ -1,7 +1,7 @@
 """Front tracking on the invariant I = W + R(q), which is constant along characteristics (theory, §4 and §5).
 
 I is piecewise constant between fronts that move at x' = K [f]/[q]. For data that are kinks only this is the exact
-solution, integrated to 1e-12; smooth data and the fans of downward jumps become many small fronts, second order in
+solution, integrated to 1e-12. Smooth data and the fans of downward jumps become many small fronts, with second order in
 their number through the formation and the merging of shocks. Under laws of linear growth kinks can become vertical
 steps (theory, §14).
 """
@@ -31,13 +31,13 @@ from hjprofile.solvers.stop import Stopped
 from hjprofile.solvers.units_of_the_law import in_units_of_the_law
 from hjprofile.solvers.vertical_steps.step_fronts import LINEAR, StepTracker
 
-MOST = 1_000_000  # fronts: the time for a run grows with their square
-ROUNDING = 1e-10  # relative, of the budgets of the exact integration; measured 1.5e-12 on 2000 random scenes
-ROUGH = 3.0  # of the second-order allowances; measured 1.6 at worst on 300 random scenes of 50 jumps
+MOST_FRONTS = 1_000_000  # largest number of fronts: the time of a run grows with its square
+BUDGET_ERROR = 1e-10  # relative, of the budgets of the exact integration; measured: 1.5e-12 on 2000 random problems
+ROUGH = 3.0  # factor of the second-order allowances; measured: at most 1.6 on 300 random problems with 50 jumps
 
 
 class Begun(NamedTuple):
-    """A profile that is cut into fronts, their tracker before the first step, and the errors of the data."""
+    """A profile cut into fronts, their tracker before the first step, and the errors of the data."""
 
     data: FrontData
     tracker: Tracker
@@ -55,7 +55,7 @@ def begin(problem: Problem, left: float, fronts: int, exact: bool | None = None)
     if data.sample is None:  # the fronts are the profile
         return Begun(data, tracker, EXACT)
     sample = data.sample
-    W, K = tracker.read(read_only(sample.x))  # as the nodes of a grid are: one compiled form does for both
+    W, K = tracker.read(read_only(sample.x))  # read-only like the nodes of a grid: one compiled signature
     with np.errstate(all="ignore"):
         return Begun(data, tracker, compare_data(problem, sample, W, np.log(K), data.area))
 
@@ -67,14 +67,15 @@ def track_fronts(
     progress: Callable[[float], None] | None = None,
     exact: bool | None = None,
 ) -> Run:
-    """Tracks fronts on the half line; arguments as for `solve.track_fronts`."""
-    return _in_units(problem, grid, whole("fronts", fronts, 4, MOST), progress, exact)
+    """Track fronts on the half line; arguments as for `solve.track_fronts`."""
+    return _in_units(problem, grid, whole("fronts", fronts, 4, MOST_FRONTS), progress, exact)
 
 
 @in_units_of_the_law
 def _in_units(
     problem: Problem, grid: Grid, fronts: int, progress: Callable[[float], None] | None, exact: bool | None
 ) -> Run:
+    """Track fronts in units of the law."""
     begun = begin(problem, grid.left, fronts, exact)
     caution = begun.resolution.caution(f"{fronts} fronts", "the method auto with a tolerance")
     return replace(track(problem, grid, begun, progress), cautions=caution)
@@ -84,10 +85,10 @@ def track(
     problem: Problem, grid: Grid, begun: Begun, progress: Callable[[float], None] | None = None,
     witness: Witness | None = None,
 ) -> Run:  # fmt: skip
-    """Return the run of fronts that have begun, on the half line and in units of the law."""
+    """Return the run of fronts after `begin`, on the half line and in units of the law."""
     tracker = begun.tracker
-    watch = SnapshotBounds(grid, begun.data.top, tracker.volume(), _allowances(begun), tracker.least())
-    tracker.advance(0.0)  # compiles what is to be compiled
+    watch = SnapshotBounds(grid, begun.data.W_crest, tracker.volume(), _allowances(begun), tracker.least())
+    tracker.advance(0.0)  # compiles the loops
     snapshots = walk(tracker, problem, grid, watch, progress, witness)
     if not snapshots.states:
         assert snapshots.stop is not None
@@ -99,14 +100,14 @@ def _allowances(begun: Begun) -> dict[str, tuple[float, str]]:
     """Return the allowance of each bound, and the reason for it."""
     data = begun.data
     scale = 1.0 + float(np.abs(data.jump).sum())
-    read = ROUNDING * scale
+    read = BUDGET_ERROR * scale
     allowed = dict.fromkeys(BOUNDS, (read, "rounding"))
     if not data.kinks_only:
         second = read + ROUGH * data.area * scale
         allowed = dict.fromkeys(BOUNDS, (second, "second order in the spacing of fronts"))
-        # F(0) is a sawtooth while small fronts leave, and its integral over a step first order
-        # u changes by -∫K f dt where the volume changes by ∫K dt
-        allowed["volume_budget"] = read + (second - read) / min(data.most_eroded, 1.0), allowed["volume_budget"][1]
+        # F(0) is a sawtooth while small fronts leave, and its integral over a step is of first order
+        # u changes by -∫K f dt if the volume changes by ∫K dt
+        allowed["volume_budget"] = read + (second - read) / min(data.largest_f, 1.0), allowed["volume_budget"][1]
         allowed["mass_budget"] = second + math.sqrt(data.area) * scale, "first order in the spacing of fronts"
     if begun.tracker.exact:
         allowed |= dict.fromkeys(("mass_budget", "volume_budget"), (read, "rounding"))
@@ -114,13 +115,13 @@ def _allowances(begun: Begun) -> dict[str, tuple[float, str]]:
 
 
 def heights_at_end(problem: Problem, left: float, x: Array, fronts: int) -> Array:
-    """u at the time `problem.end` at the places x, increasing, in [left, 0]: what a fit asks for a hundred times.
+    """Return u at the time `problem.end` at the positions x (increasing, in [left, 0]), for the fits.
 
-    As `track_fronts`, without a grid and those who watch. Raises RunError where front tracking loses the slope.
+    The method is `track_fronts`, without a grid and monitors. Raise RunError if front tracking loses the slope.
     """
     _, tracker, resolution = begin(problem, left, fronts)
     tracker.advance(problem.end)
-    W, K = tracker.read(read_only(x))  # as the nodes of a grid are: one compiled form does for both
+    W, K = tracker.read(read_only(x))  # read-only like the nodes of a grid: one compiled signature
     u = x + W + float(problem.profile.W(np.array([left]), problem.law)[0])
     if not resolution.holds:
         raise RunError(f"{fronts} fronts do not resolve the profile")

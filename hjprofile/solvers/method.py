@@ -1,4 +1,4 @@
-"""What a method is: a value that says how it solves, which bounds it keeps, and which problems it takes."""
+"""Description of a method: its unknown, the bounds that it satisfies, and the problems that it supports."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from hjprofile.solvers.grids.flux import Flux
     from hjprofile.solvers.grids.setup import Setup
 
-MOST_REFRESHES = 1_000_000  # of a factor that is kept for a while, in a run
+MOST_REFRESHES = 1_000_000  # largest number of refreshes of a frozen K in a run
 
 
 class Form(Enum):
-    """What the unknown of a method is."""
+    """The unknown of a method."""
 
     HEIGHT = "u on the nodes of a grid"
     SLOPE = "q on the cells of a grid"
@@ -32,7 +32,7 @@ class Form(Enum):
 
 
 class Feature(Enum):
-    """What a problem can ask of a method beyond slow erosion of a slope that is critical at its left end."""
+    """Features of problems beyond slow erosion of a slope that is neutral at its left end."""
 
     INFLOW = "a profile with a flux that enters at the left end", "use a profile with q = 0 there"
     COEFFICIENT = "a prescribed coefficient", "leave [coefficient] out"
@@ -43,12 +43,12 @@ class Feature(Enum):
 
     @property
     def words(self) -> str:
-        """What it is, in a sentence."""
+        """The feature in the words of a sentence."""
         return self.value[0]
 
     @property
     def remedy(self) -> str:
-        """How to do without it."""
+        """The advice for a problem without the feature."""
         return self.value[1]
 
 
@@ -62,21 +62,21 @@ _OF_MODEL = {
 
 @dataclass(frozen=True)
 class Method:
-    """A way to solve a problem.
+    """A solution method.
 
     Attributes:
         name: in case files and in Python.
         form: of its unknown.
-        supports: features of problems that it takes.
+        supports: features of problems that it supports.
         setup: of a method on a grid: scheme, bounds and monitors for a problem on a grid.
-        variants: setups in the place of `setup` for problems with that feature.
-        solve: of the others, problem, grid, tolerance or None, progress -> Run.
+        variants: setups that replace `setup` for problems with that feature.
+        solve: of the other methods: problem, grid, tolerance or None, progress -> Run.
         flux: the numerical flux of a first-order method.
-        carries: of a method for q, the method for u whose flux it carries over; "" for none.
-        midpoint: whether ln K is the integral of f of the cell means.
-        cfl_proved: Δt max(K f')/Δx up to which theory proves the bounds for any data; NaN for none.
-        tolerance: the least and the largest tolerance that it takes, if any.
-        needs_tolerance: whether it solves without one.
+        carries: of a method for q, the method for u whose flux it uses; "" for none.
+        midpoint: True if ln K is the integral of f of the cell means.
+        cfl_proved: largest Δt max(K f')/Δx with bounds proved for any data; NaN for none.
+        tolerance: the smallest and the largest tolerance that it accepts, if any.
+        needs_tolerance: True if it requires a tolerance.
     """
 
     name: str
@@ -94,20 +94,20 @@ class Method:
 
     @property
     def on_grid(self) -> bool:
-        """Whether it is a scheme on a grid."""
+        """True for a scheme on a grid."""
         return self.form is not Form.OFF_GRID
 
     def setup_for(self, problem: Problem) -> Setup:
-        """Return how a problem is set up on a grid."""
+        """Return the set-up for a problem on a grid."""
         found = self.variants.get(_OF_MODEL.get(type(problem.model)), self.setup)  # type: ignore[arg-type]
         assert found is not None
         return found
 
 
 def requirements(problem: Problem, refresh: float | None = None) -> frozenset[Feature]:
-    """Return the features that a problem asks for, with a factor that is kept for `refresh` if that is given.
+    """Return the features of a problem, with those of a frozen K if `refresh` is given.
 
-    Raises InputError if the refresh interval is no good for this problem with any method.
+    Raise InputError if no method supports the refresh interval for this problem.
     """
     found = {_OF_MODEL[type(problem.model)]} if type(problem.model) in _OF_MODEL else set()
     if problem.profile.inflow:
@@ -127,9 +127,9 @@ def requirements(problem: Problem, refresh: float | None = None) -> frozenset[Fe
 
 
 def require(who: str, supports: Collection[Feature], asked: Collection[Feature], others: Iterable[Method] = ()) -> None:
-    """Raise InputError if a method or a study is asked for features that it does not support.
+    """Raise InputError if a method or a study does not support the requested features.
 
-    `who` begins the sentence, as "the method fronts"; `others` are methods that might.
+    `who` begins the sentence, as "the method fronts"; `others` are methods that may support them.
     """
     missing = [feature for feature in Feature if feature in asked and feature not in supports]
     if not missing:

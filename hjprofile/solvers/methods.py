@@ -1,6 +1,6 @@
-"""The methods: one row for each, from which everybody learns what there is and what it can do.
+"""Table of the methods: one row for each, with its properties.
 
-A numerical flux is a row of FLUXES, and gives two methods: for u, and for q by its twin in numpy.
+A numerical flux is a row of FLUXES and defines two methods: one for u, and one for q by its numpy twin.
 """
 
 from __future__ import annotations
@@ -63,17 +63,17 @@ FLUXES: Mapping[str, Flux] = MappingProxyType(
         )
     }
 )  # fmt: skip
-_PROMISES = {"local-lax-friedrichs": LOCAL, "telescoping": TELESCOPING}  # else MONOTONE
+_GUARANTEES = {"local-lax-friedrichs": LOCAL, "telescoping": TELESCOPING}  # else MONOTONE
 
 
 def _data(problem: Problem, grid: Grid, refresh: float | None) -> tuple[GridLaw, Array, Factor]:
-    """The law for compiled loops, W on the nodes, and the factor."""
+    """Return the law for compiled loops, W on the nodes, and the factor."""
     W = problem.profile.W(grid.nodes, problem.law)
     return grid_law(problem.law, np.diff(W) / grid.dx), W, Factor(grid, problem.coefficient, refresh)
 
 
 def _for_height(make: Callable[..., Scheme], part: Flux | str) -> MakeScheme:
-    """A scheme of heights that is made of law, grid, W, a flux or the name of an order, inflow and the factor."""
+    """Return a constructor of schemes of heights from law, grid, W, a flux or name of an order, inflow and factor."""
 
     def scheme(problem: Problem, grid: Grid, refresh: float | None = None) -> Scheme:
         law, W, factor = _data(problem, grid, refresh)
@@ -83,7 +83,7 @@ def _for_height(make: Callable[..., Scheme], part: Flux | str) -> MakeScheme:
 
 
 def _for_slope(make: Callable[..., Scheme], *parts: object) -> MakeScheme:
-    """A scheme of cell means that is made of law, grid, q, W at the left end, inflow, `parts` and the factor."""
+    """Return a constructor of schemes of cell means from law, grid, q, W at the left, inflow, `parts` and factor."""
 
     def scheme(problem: Problem, grid: Grid, refresh: float | None = None) -> Scheme:
         law, W, factor = _data(problem, grid, refresh)
@@ -93,15 +93,17 @@ def _for_slope(make: Callable[..., Scheme], *parts: object) -> MakeScheme:
 
 
 def _without_factor(make: Callable[..., Scheme], *parts: object) -> MakeScheme:
-    """As `_for_slope`, for a scheme that knows no other K than its own."""
+    """Return a constructor as `_for_slope`, for a scheme that supports only the nonlocal K."""
     return _for_slope(lambda *given: make(*given[:-1]), *parts)
 
 
 def _below_a_layer(problem: Problem, grid: Grid, refresh: float | None = None) -> Scheme:
+    """Return the scheme for the bed below a rolling layer."""
     return _without_factor(WithLayer, FLUXES["telescoping"], problem.supply_flux)(problem, grid, refresh)
 
 
 def _second_order() -> Method:
+    """Return the second-order method for q."""
     steps = _without_factor(SecondOrderTelescoping, FLUXES["telescoping"])
     return Method(
         "conservative", Form.SLOPE, ON_GRIDS | {Feature.LINEAR_GROWTH}, Setup(_for_slope(SecondOrder), HIGHER_ORDER),
@@ -110,9 +112,10 @@ def _second_order() -> Method:
 
 
 def _first_order() -> Iterator[Method]:
+    """Yield the methods of first order, two for each flux."""
     for flux in FLUXES.values():
-        steep = flux is FLUXES["telescoping"]  # moves a vertical step at its right speed, whatever K is (theory, §14)
-        promises = _PROMISES.get(flux.name, MONOTONE)
+        steep = flux is FLUXES["telescoping"]  # correct speed of a vertical step for any K (theory, §14)
+        guarantees = _GUARANTEES.get(flux.name, MONOTONE)
         supports = ON_GRIDS | {Feature.LINEAR_GROWTH} if steep else ON_GRIDS
         about = {"flux": flux, "midpoint": True, "cfl_proved": 2 / 3 if flux.viscous else 1.0}
         for name, form, scheme in (
@@ -120,16 +123,17 @@ def _first_order() -> Iterator[Method]:
             (f"conservative-{flux.name}", Form.SLOPE, _for_slope(FirstOrder, flux)),
         ):
             carries = flux.name if form is Form.SLOPE else ""
-            method = Method(name, form, supports, Setup(scheme, promises), carries=carries, **about)  # type: ignore[arg-type]
+            method = Method(name, form, supports, Setup(scheme, guarantees), carries=carries, **about)  # type: ignore[arg-type]
             if steep:
                 method = replace(method, variants={Feature.LINEAR_GROWTH: Setup(scheme, STEEP, StepsOnGrid)})
-            if steep and form is Form.SLOPE:  # by its flux the bed loses exactly what the layer gains (theory, §8)
+            if steep and form is Form.SLOPE:  # this flux conserves grains exactly (theory, §8)
                 layer = {Feature.LAYER: Setup(_below_a_layer, WITH_LAYER)}
                 method = replace(method, supports=supports | {Feature.LAYER}, variants={**method.variants, **layer})
             yield method
 
 
 def _high_order() -> Iterator[Method]:
+    """Yield the methods of higher order, two for each order."""
     for name, order in ORDERS.items():
         high = Setup(_for_height(HighOrderHamiltonJacobi, name), HIGHER_ORDER)
         yield Method(name, Form.HEIGHT, ON_GRIDS, high, cfl_proved=order.cfl_proved)
@@ -144,11 +148,12 @@ with_least_work = also_on_the_whole_line(least_work)
 
 
 def _fronts(problem: Problem, grid: Grid, tolerance: float | None, progress: Progress | None) -> Run:
+    """Solve by fronts."""
     return by_fronts(problem, grid, progress=progress)
 
 
 def _characteristics(problem: Problem, grid: Grid, tolerance: float | None, progress: Progress | None) -> Run:
-    """To the tolerance, or to the finest one if that does not do."""
+    """Solve by characteristics to the tolerance, or to the finest one if that is not sufficient."""
     run = by_characteristics(problem, grid, tolerance, progress)
     if tolerance and run.done and not run.meets(tolerance):
         finest = by_characteristics(problem, grid, FINEST, progress)
@@ -157,6 +162,7 @@ def _characteristics(problem: Problem, grid: Grid, tolerance: float | None, prog
 
 
 def _auto(problem: Problem, grid: Grid, tolerance: float | None, progress: Progress | None) -> Run:
+    """Solve with the least work that meets the tolerance."""
     assert tolerance is not None
 
     def fallback(name: str) -> Callable[[Problem, Grid], Run]:
@@ -188,7 +194,7 @@ def named(form: Form | None = None) -> tuple[str, ...]:
 
 
 def find_method(name: str, among: tuple[str, ...] = ()) -> Method:
-    """Return the method of that name, one of `among` if that is given. Raises InputError."""
+    """Return the method of that name, one of `among` if that is given. Raise InputError if there is none."""
     among = among or tuple(METHODS)
     if not isinstance(name, str) or name not in among:
         hint = did_you_mean(str(name), among)

@@ -1,4 +1,4 @@
-"""What a solver returns, and what it hands to those who watch it."""
+"""Results of a solver, and the interfaces of monitors and checkpoints."""
 
 from __future__ import annotations
 
@@ -31,24 +31,24 @@ UNITS = ("length", "critical_slope", "x_top", "height_top")
 
 
 class State(NamedTuple):
-    """A moment of a run. The arrays belong to the solver: copy what is to be kept."""
+    """A state of a run. The arrays belong to the solver: copy them to retain them."""
 
     t: float
-    steps: int  # taken so far
-    first: int  # the cell of the grid at which q begins
-    q: Array  # cell means of the excess slope, where it is not known to be 0
+    steps: int  # number of time steps so far
+    first: int  # the cell of q[0] in the grid
+    q: Array  # cell means of the excess slope, on the active cells and a halo
     law: Any  # for compiled loops, see grids/kernels/sweep_law.py
-    speed: float  # largest K f' met in the last steps
-    bound: float  # of K f' in the last steps, and ...
-    dt: float  # ... their length; 0 before the first
-    growth: float  # ∫(K(left) - 1) dt so far: grains that left at the foot beyond those poured in
+    speed: float  # largest K f' in the last steps
+    bound: float  # of K f' in the last steps
+    dt: float  # length of the last steps; 0 before the first
+    toe_gain: float  # ∫(K(left) - 1) dt so far: toe outflow less supply
     crest_lowering: float  # ∫F(x = 0) dt so far
     volume: Callable[[], float]  # ∫(u - x) dx by the method's own sum
-    K: Array | None = None  # the factor at the nodes of these cells, if q does not decide it
+    K: Array | None = None  # K at these nodes, if it is prescribed or frozen
 
 
 class Halt(Exception):
-    """Raised by a monitor that stops the run, with the reason."""
+    """An exception of a monitor that stops the run, with the reason."""
 
     def __init__(self, stop: Stop):
         super().__init__(str(stop))
@@ -56,56 +56,56 @@ class Halt(Exception):
 
 
 class Breakdown(Exception):
-    """The state is no longer admissible. Carries the cell and q there; `first` is the cell of the grid at q[0]."""
+    """A loss of admissibility at `cell` with the excess slope `q`; `first` is the grid cell of q[0]."""
 
     def __init__(self, q: Array, K: Array, first: int = 0):
         bad = ~(np.isfinite(q) & (q > -1.0))
-        # K is summed from the right, so the rightmost bad cell is the first to blame
+        # K is summed from the right, so the rightmost bad cell is the cause
         elsewhere = np.argmin(q) if np.isfinite(K).all() else np.argmin(np.isfinite(K))
         cell = int(np.flatnonzero(bad)[-1]) if bad.any() else int(elsewhere)
         self.cell, self.q = first + cell, float(q[cell])
 
 
 class Monitor(Protocol):
-    """Watches a run from outside: its first state, its last, and those in between that it asks for.
+    """An observer of a run: of its first state, its last, and those in between that it requests.
 
     Attributes:
-        memory: names of the attributes that a checkpoint has to keep: numbers, tuples of numbers, arrays.
+        checkpoint_fields: names of the attributes that a checkpoint must store: numbers, tuples of numbers, arrays.
     """
 
-    memory: tuple[str, ...]
+    checkpoint_fields: tuple[str, ...]
 
     def wants(self, state: State) -> bool:
-        """Whether to look at this state."""
+        """Return True to observe this state."""
         ...
 
     def observe(self, state: State) -> None:
-        """Looks at it. Raises Halt if the run must not go on."""
+        """Observe a state. Raise Halt if the run must not continue."""
         ...
 
 
 class Keeper(Protocol):
-    """Keeps checkpoints. As a context it also takes care of requests to stop."""
+    """A store of checkpoints. As a context it also handles requests to stop."""
 
     def __enter__(self) -> Any: ...
 
     def __exit__(self, *error: Any) -> None: ...
 
     def recall(self, identity: Mapping[str, Any]) -> Mapping[str, Array] | None:
-        """What was kept of the run that is told from others by `identity`, if there is anything to go on from."""
+        """Return the stored checkpoint of the run with this `identity`, or None."""
         ...
 
     def due(self) -> bool:
-        """Whether to keep a checkpoint now."""
+        """Return True if a checkpoint is due."""
         ...
 
     def keep(self, t: float, memory: Mapping[str, Array]) -> None:
-        """Keeps it. Raises RunError afterwards if the run was asked to stop."""
+        """Store a checkpoint. Raise RunError afterwards if a stop was requested."""
         ...
 
 
 class KinkRecord(NamedTuple):
-    """A kink (upward jump of q) at one snapshot; `speed` is measured, the last by [f]/[q]."""
+    """A kink (upward jump of q) at one saved time; `speed` is measured, the last field is K [f]/[q]."""
 
     time: float
     kink: int
@@ -118,7 +118,7 @@ class KinkRecord(NamedTuple):
 
 
 class VerticalStep(NamedTuple):
-    """A jump of u by `height` at one snapshot, under a law of linear growth (theory, §14)."""
+    """A jump of u by `height` at one saved time, under a law of linear growth (theory, §14)."""
 
     time: float
     step: int
@@ -138,9 +138,9 @@ class Event(NamedTuple):
 
 
 def in_order(events: Sequence[Event], moment: float = 0.0) -> list[Event]:
-    """Return events by time and kink. Kinks that meet within a `moment` all merge into the one that lives on.
+    """Return events by time and kink. Kinks that meet within a `moment` all merge into the surviving one.
 
-    `moment` is the accuracy of the times: at a point where three kinks meet, rounding decides which pair is first.
+    `moment` is the accuracy of the times: if three kinks meet at a point, rounding decides which pair is first.
     """
     merges = {e.kink: e for e in events if e.event == "merge"}
 
@@ -154,9 +154,9 @@ def in_order(events: Sequence[Event], moment: float = 0.0) -> list[Event]:
 
 
 class Verdict(NamedTuple):
-    """Whether a bound held, and when and where it was nearest to being broken (`x` is NaN if it has no place).
+    """The result for a bound, with the time and position of its smallest margin (`x` is NaN if it has no position).
 
-    The margin is the part of its allowance that was left: 1 untouched, negative exceeded.
+    The margin is the unused fraction of the allowance: 1 if unused, negative if exceeded.
     """
 
     holds: bool
@@ -166,7 +166,7 @@ class Verdict(NamedTuple):
     allowance: str
 
     def broken(self, name: str) -> Stop:
-        """Return the reason to stop, or to doubt the result, of a bound of that name that does not hold."""
+        """Return the reason to stop, or a warning, for a bound of that name that is violated."""
         where = "" if np.isnan(self.x) else " near x = {x:.6g}"
         return Stop(
             Reason.BROKEN_BOUND,
@@ -180,35 +180,37 @@ class Verdict(NamedTuple):
 
 @dataclass(frozen=True)
 class Run:
-    """A solution on a grid at the saved times. Its arrays are read-only; a copy can be written into.
+    """A solution on a grid at the saved times. Its arrays are read-only; copies are writable.
+
+    x is in exchange lengths, u in exchange lengths times the critical slope, t in supplied mass.
 
     Attributes:
         title, method: of the case.
         case: the resolved case, as a table ready for TOML.
-        time: shape (times,).
+        time: saved times, shape (times,).
         x, x_cell: nodes (cells + 1,) and midpoints of cells (cells,).
-        u, K: on nodes, shape (times, cells + 1). u is the height, K the factor of the flux that was used from then on.
+        u, K: height and grain flux relative to the supply, on nodes, shape (times, cells + 1). K is the one in use from
+            that time on.
         q: cell means of u_x - 1, shape (times, cells).
-        status: "done", or a sentence that says when, where and why the run stopped and what to try. The last saved
-            time is then the last good state.
-        stop: the same as a record of which `status` is the sentence; None for a run that went to its end or was read
-            from a file.
-        steps, step_range: number of time steps, least and largest.
-        wall_seconds: of the time stepping alone; compilation, monitoring and output apart.
+        status: "done", or a sentence with time, position, reason and remedy if the run stopped. The last saved time is
+            then the last good state.
+        stop: the reason of `status` as a record; None if the run reached its end or was read from a file.
+        steps, step_range: number of time steps, smallest and largest step.
+        wall_seconds: of the time stepping alone, without compilation, monitoring and output.
         kinks, events: the kinks at the saved times; births, merges and exits.
-        vertical_steps: the jumps of u at the saved times, numbered as the kinks that they come from; None where the
-            law has none.
-        bounds: name -> Verdict for each a-priori fact and budget that was watched.
+        vertical_steps: the jumps of u at the saved times, with the numbers of the kinks that they come from; None if
+            the law has none.
+        bounds: name -> Verdict for each monitored bound and budget.
         eroded_volume: ∫(u(0,x) - u(t,x)) dx at the end.
-        toe_outflow: ∫K(t, left) dt at the end: the grains that have left at the toe. It is the supply plus the eroded
+        toe_outflow: ∫K(t, left) dt at the end, the grains that have left at the toe. It is the supply plus the eroded
             volume. NaN if the coefficient is prescribed.
         crest_lowering: ∫F(t, 0) dt at the end, which is u(0, 0) - u(t, 0).
-        volume_budget_error: the most by which the eroded volume ever differed from ∫(K(left) - 1) dt.
-        error_estimate: of sup|u - exact u| over all saved times, where the method knows one, else None.
-        units: the way back to a survey's units, else None.
-        account: what was done to the data, and what the method auto chose and why, or "".
-        cautions: a sentence for each reason, other than a broken bound, to doubt the result: data that the grid or the
-            fronts do not resolve, a tolerance that is not met, a product that could not be made.
+        volume_budget_error: largest difference over the run between the eroded volume and ∫(K(left) - 1) dt.
+        error_estimate: of sup|u - u_exact| over all saved times, if the method provides one, else None.
+        units: conversion to the units of a survey, else None.
+        account: changes of the input, and the choice of the method auto with its reason, or "".
+        cautions: a sentence for each reason, other than a violated bound, to doubt the result: data that the grid or
+            the fronts do not resolve, a tolerance that is not met, an output that could not be written.
     """
 
     title: str
@@ -246,41 +248,42 @@ class Run:
 
     @property
     def done(self) -> bool:
-        """Whether the run went to its end."""
+        """True if the run reached its end."""
         return self.status == "done"
 
     @property
     def stepped(self) -> bool:
-        """Whether it took the time steps of a scheme on a grid."""
+        """True if the run made the time steps of a scheme on a grid."""
         return not np.isnan(self.step_range[1])
 
     @property
     def warnings(self) -> list[str]:
-        """The cautions, then a sentence for each broken bound."""
+        """The cautions, then a sentence for each violated bound."""
         return [*self.cautions, *self.broken_bounds]
 
     @property
     def broken_bounds(self) -> list[str]:
-        """A sentence for each bound that the method promises and that was broken."""
+        """A sentence for each violated bound that the method guarantees."""
         return [str(b.broken(name)) for name, b in self.bounds.items() if not b.holds]
 
     @property
     def cells(self) -> int:
-        """Number of cells of the grid on which it is told."""
+        """The number of cells of the grid of the result."""
         return self.x_cell.size
 
     @property
     def attributes(self) -> dict[str, str | float]:
-        """What `profile.nc` and `to_xarray` say of the run as a whole: its case as TOML, the units of a survey, ..."""
+        """Global attributes of `profile.nc` and `to_xarray`: title, method, status, case as TOML, units of a survey."""
         text = {"Conventions": "CF-1.8", "title": self.title, "method": self.method, "status": self.status}
         text |= {"case": to_toml(self.case), "hjprofile_version": hjprofile.__version__}
         return text | ({name: getattr(self.units, name) for name in UNITS} if self.units else {})
 
     def to_xarray(self) -> xarray.Dataset:
-        """u, q and K over `time` and `node` or `cell`, with `x` and `x_cell`: what `xarray` reads from `profile.nc`.
+        """Return an `xarray.Dataset` of u, q and K, as `xarray` reads it from `profile.nc`.
 
-        Needs xarray, which hjprofile does not bring along. The arrays are shared with the run, read-only; those of
-        `.copy(deep=True)` are not.
+        Its dimensions are `time` and `node` or `cell`, with the coordinates `x` and `x_cell`. The method requires
+        xarray, which is not a dependency of hjprofile. The arrays are shared with the run and read-only; those of
+        `.copy(deep=True)` are writable.
         """
         import xarray
 
@@ -302,9 +305,9 @@ class Run:
         return replace(self, status=status, cautions=(*self.cautions, caution))
 
     def kinks_at(self, index: int) -> list[KinkRecord]:
-        """The kinks at the saved time `self.time[index]`, from left to right."""
+        """Return the kinks at the saved time `self.time[index]`, from left to right."""
         return [k for k in self.kinks if k.time == self.time[index]]
 
     def steps_at(self, index: int) -> list[VerticalStep]:
-        """The vertical steps at the saved time `self.time[index]`, from left to right."""
+        """Return the vertical steps at the saved time `self.time[index]`, from left to right."""
         return [s for s in self.vertical_steps or () if s.time == self.time[index]]

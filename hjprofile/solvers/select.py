@@ -1,8 +1,8 @@
-"""The least work that meets a tolerance on u: which method, at which resolution (theory, "No more than a scene needs").
+"""Choice of method and resolution with the least work for a tolerance on u (theory, "No more than a scene needs").
 
-A closed form if the data have one, and kinks exactly; otherwise a pilot of few fronts tells how many fronts the
-tolerance takes, and characteristics are preferred where they need less work than that. Work is counted, not timed, so
-that the choice is the same on every machine and a case solves to the same numbers again.
+The method is a closed form if the data have one, and fronts if the data are kinks only. Otherwise a pilot run of few
+fronts predicts the number of fronts for the tolerance, and characteristics are preferred if they need less work. Work
+is counted, not timed, so the choice is the same on every machine and a case is reproducible.
 """
 
 from __future__ import annotations
@@ -29,33 +29,33 @@ from hjprofile.solvers.units_of_the_law import Units
 
 Progress = Callable[[float], None]
 
-# Of an estimate from two resolutions, SAFETY (1 + FEW/fronts): with 1000 fronts and more true errors keep within 1.3
-# in 19 of 20 random scenes, with 100 within 4
+# Factor SAFETY (1 + FEW/fronts) of an estimate from two resolutions. In 19 of 20 random problems true errors are within
+# 1.3 with 1000 fronts and more, and within 4 with 100.
 SAFETY, FEW = 1.3, 300
-JUMPS = 2.0  # in its place where q jumps: new fronts of fans come at irregular places
-AIM = 0.6  # part of the tolerance that the next resolution is to reach
-PILOT, MOST_PILOT = 64, 1024  # fronts; more where these get through no better
-USUAL, MOST_GUESS = 30.0, 500  # estimates times the square of fronts in ordinary scenes; no larger pilot for that
-PER_BREAK = 8  # fronts of the pilot for each corner or jump: fewer tell two resolutions apart only in name
-MANY_BREAKS = 60  # from which on fronts merge the weaker ones
-APART = 1.6, 2.6  # least and largest ratio of two resolutions for an estimate; larger ones do for a forecast
+JUMPS = 2.0  # replaces SAFETY if q jumps: new fronts of fans have irregular positions
+AIM = 0.6  # error of the next resolution, as a fraction of the tolerance
+PILOT, MOST_PILOT = 64, 1024  # fronts of the pilot; more if these fail
+USUAL, MOST_GUESS = 30.0, 500  # usual estimate times the square of fronts, and the largest pilot by it
+PER_BREAK = 8  # fronts of the pilot for each corner or jump: fewer do not distinguish two resolutions
+MANY_BREAKS = 60  # number of breaks above which fronts merge the weaker ones
+APART = 1.6, 2.6  # smallest and largest ratio of two resolutions for an estimate; forecasts may use larger ones
 MOST_FRONTS = 25600
-HOPELESS = 2.0  # times as many: where there is another result, they are not tried
-# Seconds, where they were measured, of a step of one front under a rational law and under others
+HOPELESS = 2.0  # multiple of MOST_FRONTS above which fronts are not tried if there is another result
+# Measured seconds of a step of one front, under a rational law and under others
 FRONT_STEP, TABLE_STEP = 8e-8, 2.7e-7
-READ_FRONTS = 5e-4  # ... and of a saved time
-MORE = 1.25  # times as many, at least, where a try misses
-FAR, MOST_FORECAST = 8.0, 600  # times as many fronts as were tried, and the most that are tried to see so far
-# Of characteristics, measured on random scenes: tries of a step, and labels, of the first feature and of each one more
+READ_FRONTS = 5e-4  # measured seconds of a saved time
+MORE = 1.25  # smallest ratio of the next number of fronts if a try misses the tolerance
+FORECAST, MOST_FORECAST = 8.0, 600  # largest ratio of a forecast to the tried fronts; most fronts of another pilot
+# Of characteristics, measured on random problems: steps tried, for all data and for each feature; labels
 TRIES, TRIES_EACH, LABELS = 30, 4.5, 160
-CORNERS = 3  # that count as one feature
-WORTH_A_TRY = 0.2  # seconds that fronts would still take: some scenes of many features take few steps
-# First tolerance of characteristics, as a part of that of u, and its range: coarser ones save nothing
+CORNERS = 3  # number of corners that count as one feature
+WORTH_A_TRY = 0.2  # remaining seconds of fronts: some problems with many features take few steps
+# First tolerance of characteristics, as a fraction of that of u, and its range: coarser ones save no time
 FIRST, DIGITS = 0.1, (1e-12, 1e-6)
-ROUNDING = 1e-12  # of kinks by fronts, per unit of u
+EXACT_FRONTS_ERROR = 1e-12  # of kinks by fronts, per unit of u
 MOST_CELLS = 64_000  # of a grid
-COARSE_CELLS, COARSE_TIMES = 200, 10  # on which two runs are compared, at least
-BETWEEN = 0.25, 0.5, 0.75  # of the run, too: after a past that both have wrong they may agree
+COARSE_CELLS, COARSE_TIMES = 200, 10  # smallest numbers of cells and times on which two runs are compared
+BETWEEN = 0.25, 0.5, 0.75  # fractions of the end at which runs are also compared: two wrong runs may agree later
 
 
 UNRESOLVED = Stop(Reason.NOT_RESOLVED, "do not resolve the profile")
@@ -63,7 +63,7 @@ UNRESOLVED = Stop(Reason.NOT_RESOLVED, "do not resolve the profile")
 
 @dataclass
 class _Search:
-    """What was tried, and what came of it, in the units of the law."""
+    """The results and failures of a search, in the units of the law."""
 
     problem: Problem
     grid: Grid
@@ -75,18 +75,18 @@ class _Search:
     seconds: float = 0.0
 
     def offer(self, run: Run, reason: str, estimate: float | None = None, because: Stop | None = None) -> bool:
-        """Keeps a run with the estimate of its error, its own if none is given; whether that meets the tolerance."""
+        """Store a run with the estimate of its error, by default its own; return True if that meets the tolerance."""
         known = estimate if estimate is not None else run.error_estimate
         assert known is not None
         self.done.append((replace(run, error_estimate=known), reason, because))
         return known <= self.tolerance
 
     def fail(self, name: str, why: Stop) -> None:
-        """Notes that a method does not go through."""
+        """Record the failure of a method."""
         self.failed.append(Stop(why.reason, "{name} {why}", values={"name": name, "why": why}))
 
     def attempt(self, solve: Callable[[], Run], name: str) -> Run | None:
-        """A run that goes to its end, or None, with the reason noted."""
+        """Return a run that reaches its end, or None after recording the reason."""
         try:
             run = solve()
         except Stopped as error:
@@ -99,7 +99,7 @@ class _Search:
         return run
 
     def result(self, problem: Problem, grid: Grid, tolerance: float) -> Run:
-        """Return the best of what was tried, in the units of a problem. Raises RunError if nothing went to its end."""
+        """Return the best result, in the units of a problem. Raise RunError if no run reached its end."""
         if not self.done:
             causes = {f"why{i}": self.units.stop(stop) for i, stop in enumerate(self.failed)}
             words = f"no method meets the tolerance {tolerance:g}: " + "; ".join(f"{{{name}}}" for name in causes)
@@ -120,10 +120,9 @@ def least_work(
     fallbacks: Mapping[str, Callable[[Problem, Grid], Run]],
     progress: Progress | None = None,
 ) -> Run:
-    """Solves to a tolerance on sup|u - exact u| over all saved times with as little work as is known to do.
+    """Solve to a tolerance on sup|u - u_exact| over all saved times with the least predicted work.
 
-    `fallbacks` solve on grids where nothing else gets through, by their names. Raises RunError if nothing goes to its
-    end.
+    `fallbacks` solve on grids if all other methods fail, by their names. Raise RunError if no run reaches its end.
     """
     units = Units.of(problem.law)
 
@@ -135,8 +134,8 @@ def least_work(
         return on_grid
 
     search = _Search(units.problem(problem), units.grid(grid), tolerance / units.length, progress, units)
-    met = _closed_form(search) or (not problem.profile.inflow and _fronts_or_characteristics(search))
-    if not (met or search.done):
+    reached = _closed_form(search) or (not problem.profile.inflow and _fronts_or_characteristics(search))
+    if not (reached or search.done):
         for name, solve in fallbacks.items():
             if _on_grids(search, name, scaled(solve)):
                 break
@@ -144,7 +143,8 @@ def least_work(
 
 
 def _closed_form(search: _Search) -> bool:
-    if isinstance(search.problem.profile, Kinks):  # fronts know these exactly, too, and sooner
+    """Offer the closed form; return True if it meets the tolerance."""
+    if isinstance(search.problem.profile, Kinks):  # fronts are exact for these, too, and faster
         return False
     try:
         form = closed_forms.closed_form(search.problem)
@@ -158,13 +158,13 @@ def _closed_form(search: _Search) -> bool:
 
 
 def _fronts_or_characteristics(search: _Search) -> bool:
-    """Whether either of them meets the tolerance, the one that is thought to take less work first."""
+    """Return True if one of them meets the tolerance; the one with less predicted work is tried first."""
     problem = search.problem
     if isinstance(problem.profile, Kinks):
         run = search.attempt(lambda: track_fronts(problem, search.grid, progress=search.progress), "front tracking")
         if run is not None:
             scale = 1.0 + float(np.abs(run.u - run.x).max())
-            estimate = 10.0 * max(run.volume_budget_error, ROUNDING * scale)
+            estimate = 10.0 * max(run.volume_budget_error, EXACT_FRONTS_ERROR * scale)
             if search.offer(run, "fronts, which are exact because the profile consists of kinks", estimate):
                 return True
         return _characteristics(search, np.inf, "because fronts do not meet the tolerance")
@@ -172,7 +172,7 @@ def _fronts_or_characteristics(search: _Search) -> bool:
     needed = ladder.pilot()
     least, spent = min(_usual_work(problem), WORTH_A_TRY), 0.0  # of characteristics
     while True:
-        # all that fronts will have cost: as much is fair for characteristics, in tries each twice as long as the last
+        # characteristics may spend as much as all fronts would cost, in tries each twice as long as the last
         ahead = ladder.work(needed) if needed > ladder.first else 0.0
         work = ahead + sum(ladder.work(n) for n in ladder.u)
         if ahead > least and work > 2.0 * spent:
@@ -184,8 +184,8 @@ def _fronts_or_characteristics(search: _Search) -> bool:
                 spent = np.inf
         if not np.isfinite(needed) or (needed > HOPELESS * MOST_FRONTS and search.done):
             break
-        met, needed = ladder.solve(needed)
-        if met:
+        reached, needed = ladder.solve(needed)
+        if reached:
             return True
     return np.isfinite(spent) and _characteristics(search, np.inf, "because fronts do not meet the tolerance")
 
@@ -199,7 +199,7 @@ def _usual_work(problem: Problem) -> float:
 
 
 def _characteristics(search: _Search, patience: float, why: str) -> bool:
-    """By characteristics, to a second tolerance if the first does not do."""
+    """Solve by characteristics, with a second tolerance if the first is not sufficient; return True if it is met."""
     first = float(np.clip(FIRST * search.tolerance, *DIGITS))
     for tolerance in (first, FINEST):
         run = search.attempt(
@@ -214,10 +214,10 @@ def _characteristics(search: _Search, patience: float, why: str) -> bool:
 
 
 def beside_kinks(kinks: Sequence[KinkRecord], others: Sequence[KinkRecord], times: Array, length: float) -> float:
-    """Return the largest difference of u between the kinks of one run and those of another that are nearest, mutually.
+    """Return the largest difference of u between the kinks of one run and the mutually nearest ones of another.
 
     Between two positions of a kink, d apart, u differs by jump ∫ exp(-x/length) dx up to d, as q decays over the length
-    R'(0): nodes that lie further apart than that may not show it.
+    R'(0). Nodes that are further apart than d may not show this difference.
     """
     largest = 0.0
     for t in times.tolist():
@@ -225,14 +225,14 @@ def beside_kinks(kinks: Sequence[KinkRecord], others: Sequence[KinkRecord], time
         if found.size and known.size:
             apart = np.abs(found[:, :1] - known[:, 0])
             first, second = apart.argmin(axis=1), apart.argmin(axis=0)
-            same = second[first] == np.arange(len(first))  # others are born in one run alone
+            same = second[first] == np.arange(len(first))  # other kinks exist in one run only
             d, jump = apart.min(axis=1)[same], np.minimum(found[same, 1], known[first[same], 1])
             largest = max(largest, float(np.max(-jump * length * np.expm1(-d / length), initial=0.0)))
     return largest
 
 
 class _Ladder:
-    """Fronts at several resolutions."""
+    """Runs by fronts at several resolutions."""
 
     def __init__(self, search: _Search):
         self.search = search
@@ -241,18 +241,18 @@ class _Ladder:
         self.rows = np.arange(times.size)[:: -max(1, times.size // COARSE_TIMES)][::-1]  # with the last
         self.few = replace(search.problem, snapshots=times[self.rows].tolist())
         self.u: dict[int, Array] = {}  # fronts -> u on the coarse grid at these times
-        self.past: dict[int, Array] = {}  # ... and u - x between them
+        self.past: dict[int, Array] = {}  # fronts -> u - x between these times
         self.kinks: dict[int, Sequence[KinkRecord]] = {}
         self.breaks = search.problem.profile.breaks(search.problem.law)
         self.safety = JUMPS if np.any(self.breaks[:, 1] != self.breaks[:, 2]) else SAFETY
         self.missed: dict[int, float] = {}  # fronts -> sup|W_d - W| of the data
-        self.plain: dict[int, float] = {}  # fronts -> the error by second order, with no allowance
+        self.plain: dict[int, float] = {}  # fronts -> the error by second order, without a safety factor
         self.steps = 0.0  # for each front
-        self.first = 0  # fronts of the pilot, which is read on all nodes, as it may do
+        self.first = 0  # fronts of the pilot, which is read on all nodes because it may suffice
         self.whole: Run | None = None
 
     def _run(self, fronts: int, last: bool = False) -> Run | None:
-        """A run of which few nodes and times are read, or, the last one, all."""
+        """Return a run read at few nodes and times, or, for the last one, at all."""
         problem, grid = (self.search.problem, self.search.grid) if last else (self.few, self.coarse)
         try:
             begun = begin(problem, grid.left, fronts)
@@ -271,11 +271,11 @@ class _Ladder:
             self.past[fronts] = np.array(witness.W)
             self.u[fronts] = run.u[self.rows if last else slice(None), :: run.cells // self.coarse.cells]
             self.kinks[fronts] = run.kinks
-            self.steps = max(run.steps - problem.kept, 0) / fronts  # each saved time may cut a step short
+            self.steps = max(run.steps - problem.kept, 0) / fronts  # each saved time may shorten a step
         return run
 
     def _estimate(self, fronts: int, apart_at_most: float = APART[1]) -> float:
-        """Of the error with so many fronts, from what is known with fewer; inf if nothing is."""
+        """Return the Richardson estimate of the error with `fronts` fronts; inf without a coarser run."""
         below = [n for n in self.u if APART[0] * n <= fronts <= apart_at_most * n]
         if not below:
             return np.inf
@@ -284,10 +284,10 @@ class _Ladder:
         apart = max(float(np.abs(of[fronts] - of[n]).max(initial=0.0)) for of in (self.u, self.past))
         apart = max(apart, beside_kinks(self.kinks[fronts], self.kinks[n], self.few.times, length))
         self.plain[fronts] = apart / ((fronts / n) ** 2 - 1.0)
-        return max(self.safety * (1.0 + FEW / fronts) * self.plain[fronts], self.missed[fronts]) + ROUNDING
+        return max(self.safety * (1.0 + FEW / fronts) * self.plain[fronts], self.missed[fronts]) + EXACT_FRONTS_ERROR
 
     def pilot(self) -> float:
-        """How many fronts the tolerance takes; inf if the pilot does not get through."""
+        """Return the number of fronts for the tolerance; inf if the pilot fails."""
         breaks = len(self.breaks)
         fronts = max(
             PILOT, PER_BREAK * min(breaks, MANY_BREAKS), int(min(np.sqrt(USUAL / self.search.tolerance), MOST_GUESS))
@@ -298,7 +298,7 @@ class _Ladder:
                 self.first, self.whole = fronts, run
                 needed = self._needed(fronts)
                 while (
-                    FAR * fronts < needed <= MOST_FRONTS and 4 * fronts <= MOST_FORECAST and self._run(4 * fronts)
+                    FORECAST * fronts < needed <= MOST_FRONTS and 4 * fronts <= MOST_FORECAST and self._run(4 * fronts)
                 ):  # a far forecast
                     fronts *= 4
                     needed = self._needed(fronts)
@@ -307,7 +307,7 @@ class _Ladder:
         return np.inf
 
     def _needed(self, fronts: int) -> float:
-        """How many the tolerance takes, by the error with so many."""
+        """Return the number of fronts for the tolerance, from the error with `fronts` fronts."""
         estimate = self._estimate(fronts, np.inf)
         if estimate <= self.search.tolerance:
             return float(fronts)
@@ -317,17 +317,17 @@ class _Ladder:
         return float(np.ceil(max(n, MORE * fronts)))
 
     def work(self, fronts: float) -> float:
-        """Seconds, by count, that so many fronts will take."""
+        """Return the seconds, by count, of a run with so many fronts."""
         problem = self.search.problem
         step = FRONT_STEP if problem.law.name == "rational" else TABLE_STEP
         moved = step * fronts * (problem.kept + self.steps * fronts) if np.isfinite(fronts) else np.inf
         return moved + READ_FRONTS * problem.kept
 
     def solve(self, needed: float) -> tuple[bool, float]:
-        """Whether about so many fronts, or what comes out on the way there, meet the tolerance; and how many might."""
+        """Solve with about `needed` fronts; return True if the tolerance is met, and the number of fronts to try."""
         search, fronts = self.search, int(min(needed, MOST_FRONTS))
         most = max(self.u)
-        if fronts > APART[1] * most:  # half as many tell how many it really takes, and later what the error is
+        if fronts > APART[1] * most:  # half as many improve the prediction, and give the error later
             half = max(fronts // 2, int(APART[0] * most) + 1)
             if not self._run(half):
                 return False, np.inf
@@ -350,7 +350,7 @@ class _Ladder:
 
 
 def _coarser(problem: Problem, grid: Grid) -> Grid:
-    """Some of the nodes, enough to compare two runs on."""
+    """Return a coarser grid of nodes of this grid, fine enough to compare two runs."""
     for every in range(10, 1, -1):
         if grid.cells % every == 0 and grid.cells // every >= COARSE_CELLS:
             coarse = replace(grid, cells=grid.cells // every)
@@ -364,13 +364,13 @@ def _coarser(problem: Problem, grid: Grid) -> Grid:
 
 
 def _on_grids(search: _Search, method: str, on_grid: Callable[[Grid], Run]) -> bool:
-    """On grids of more and more cells, read on the nodes that are asked for."""
+    """Solve on finer and finer grids, read on the requested nodes; return True if the tolerance is met."""
     grid, cells = search.grid, search.grid.cells
     before: Run | None = None
     apart = np.inf
     while cells <= max(MOST_CELLS, 2 * grid.cells):
         fine = replace(grid, cells=cells)
-        if not cells_resolve(search.problem, fine).holds:  # then a small difference of two runs proves nothing
+        if not cells_resolve(search.problem, fine).holds:  # then a small difference of two runs is no evidence
             search.fail(f"{cells} cells", UNRESOLVED)
             cells *= 2
             continue
@@ -384,7 +384,7 @@ def _on_grids(search: _Search, method: str, on_grid: Callable[[Grid], Run]) -> b
         )  # fmt: skip
         if before is not None:
             previous, apart = apart, float(np.abs(run.u - before.u).max())
-            # the order that is seen, between one (a kink) and two; one as long as nothing is
+            # the observed order, between one (a kink) and two; one without an observation
             ratio = float(np.clip(previous / apart if np.isfinite(previous) and apart > 0.0 else 2.0, 1.5, 4.0))
             reason = f"{method} on {cells} cells, because neither fronts nor characteristics reach the end"
             if search.offer(run, reason, SAFETY * apart / (ratio - 1.0)):

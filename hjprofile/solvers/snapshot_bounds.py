@@ -1,4 +1,4 @@
-"""Bounds and budgets of a method that knows its own volume, judged at the saved times."""
+"""Bounds and budgets at the saved times, for methods with an exact volume."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ BOUNDS = ("mass_budget", "volume_budget", "minimum_principle", "l1_decay")
 
 
 class SnapshotBounds:
-    """The budgets, the minimum principle and L1 decay of `BoundsMonitor`.
+    """The budgets, the minimum principle and the L1 decay of `BoundsMonitor`.
 
-    `allowed` holds an allowance for each bound, and what it is; allowances grow with time as 1 + t. `least` is inf q of
-    the data, if it is below the least mean of a cell.
+    `allowed` holds an allowance for each bound, and its reason; allowances grow with time as 1 + t. `least` is inf q of
+    the data, if it is below the smallest mean of a cell.
     """
 
     def __init__(
@@ -27,7 +27,7 @@ class SnapshotBounds:
         self.norm, self.floor, self.cancelled = np.inf, 0.0, 0.0
         self.eroded_volume = self.toe_outflow = self.budget_error = 0.0
 
-    def observe(self, t: float, W: np.ndarray, volume: float, growth: float, crest_lowering: float) -> None:
+    def observe(self, t: float, W: np.ndarray, volume: float, toe_gain: float, crest_lowering: float) -> None:
         mass = np.diff(W)
         norm, least = float(np.abs(mass).sum()), float(mass.min() / self.grid.dx)
         # in a cell where q changes its sign the parts of its mass cancel
@@ -35,8 +35,8 @@ class SnapshotBounds:
         self.cancelled = max(self.cancelled, 2.0 * float((np.abs(mass[:-1]) + np.abs(mass[1:]))[turns].sum()))
         if np.isinf(self.norm):
             self.norm, self.floor = norm, min(least, self.least, 0.0)
-        self.eroded_volume, self.toe_outflow = self.first - volume, t + growth
-        off = abs(self.eroded_volume - growth)
+        self.eroded_volume, self.toe_outflow = self.first - volume, t + toe_gain
+        off = abs(self.eroded_volume - toe_gain)
         self.budget_error = max(self.budget_error, off)
         for name, excess in (
             ("mass_budget", float(W[-1]) - self.mass + crest_lowering),

@@ -1,4 +1,4 @@
-"""The walk of a solution through the saved times, and the assembly of a run from its snapshots."""
+"""Advance of a solution through the saved times, and assembly of a run from its snapshots."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid
-from hjprofile.solvers.kernels.journal import CREST_LOWERING, GROWTH
+from hjprofile.solvers.kernels.journal import CREST_LOWERING, TOE_GAIN
 from hjprofile.solvers.run import Array, Event, KinkRecord, Run, VerticalStep, in_order
 from hjprofile.solvers.snapshot_bounds import SnapshotBounds
 from hjprofile.solvers.stop import Stop, Stopped
 
 
 class Lost(Stopped):
-    """A solution cannot go on."""
+    """A solution that cannot continue."""
 
 
 class Solution:
@@ -28,7 +28,7 @@ class Solution:
         moment: accuracy of the times of events.
         events: births, merges, exits and blow-ups so far, in any order.
         steps: number of time steps so far.
-        totals: ∫(K_left - 1) dt and ∫F(0) dt so far, by GROWTH and CREST_LOWERING.
+        totals: ∫(K_left - 1) dt and ∫F(0) dt so far, indexed by TOE_GAIN and CREST_LOWERING.
     """
 
     moment: float
@@ -37,7 +37,7 @@ class Solution:
     totals: Array | Sequence[float]
 
     def advance(self, target: float) -> None:
-        """Move to the time `target`. Raise Lost where the solution cannot go on."""
+        """Move to the time `target`. Raise Lost if the solution cannot continue."""
         raise NotImplementedError
 
     def read(self, nodes: Array) -> tuple[Array, Array]:
@@ -45,14 +45,14 @@ class Solution:
         raise NotImplementedError
 
     def check(self, grid: Grid, W: Array, K: Array) -> None:
-        """Raise Lost where a state that was read on a grid is not admissible."""
+        """Raise Lost if a state that was read on a grid is not admissible."""
 
     def volume(self) -> float:
         """Return ∫W dx."""
         raise NotImplementedError
 
     def kinks(self) -> list[KinkRecord]:
-        """Return the kinks now, from left to right."""
+        """Return the current kinks, from left to right."""
         raise NotImplementedError
 
     def finish(self) -> list[KinkRecord]:
@@ -60,7 +60,7 @@ class Solution:
         return self.kinks()
 
     def vertical_steps(self) -> list[VerticalStep] | None:
-        """Return the vertical steps now, from left to right; None where the law has none."""
+        """Return the current vertical steps, from left to right; None if the law has none."""
         return None
 
     def stop(self, target: float, lost: Lost) -> Stop:
@@ -69,7 +69,7 @@ class Solution:
 
 
 class Witness:
-    """W at nodes at times that are not saved; shape (times, nodes) where the run goes to its end."""
+    """W at nodes at times that are not saved; shape (times, nodes) if the run reaches its end."""
 
     def __init__(self, times: Array, nodes: Array):
         self.times, self.nodes = times, nodes
@@ -78,12 +78,12 @@ class Witness:
 
 @dataclass
 class Snapshots:
-    """What was read of a solution at the saved times that it has reached.
+    """The states of a solution at the saved times that it has reached.
 
     Attributes:
         states: W and K at the nodes of the grid, for each time.
         kinks: of all times.
-        vertical_steps: of all times, or None where the law has none.
+        vertical_steps: of all times, or None if the law has none.
         stop: the reason for which the solution stopped; None if it reached its end.
         seconds: of the time stepping.
     """
@@ -105,9 +105,9 @@ def walk(
     progress: Callable[[float], None] | None = None, witness: Witness | None = None,
     judged: Sequence[float] | None = None,
 ) -> Snapshots:  # fmt: skip
-    """Move a solution to each saved time and to the end, as far as it gets, and read it on the grid.
+    """Move a solution to each saved time and to the end, until it stops, and read it on the grid.
 
-    The bounds are judged at the times `judged`, by default at all at which the solution is read.
+    The bounds are evaluated at the times `judged`, by default at all times at which the solution is read.
     """
     saved, found = problem.times, Snapshots()
     extra = [witness.times if witness else np.empty(0), np.empty(0) if judged is None else np.array(judged)]
@@ -124,7 +124,7 @@ def walk(
             found.stop = solution.stop(target, lost)
             break
         if judged is None or target in judged:
-            watch.observe(target, W, solution.volume(), solution.totals[GROWTH], solution.totals[CREST_LOWERING])
+            watch.observe(target, W, solution.volume(), solution.totals[TOE_GAIN], solution.totals[CREST_LOWERING])
         if witness and target in witness.times:
             witness.W.append(solution.read(witness.nodes)[0])
         kinks = solution.kinks() if target < problem.end else solution.finish()
@@ -142,7 +142,7 @@ def walk(
 def assembled(
     method: str, solution: Solution, snapshots: Snapshots, watch: SnapshotBounds, problem: Problem, grid: Grid
 ) -> Run:
-    """Return the run that a walk has made."""
+    """Return the run of a walk."""
     W, K = snapshots.rows(grid)
     return Run(
         title=problem.title,

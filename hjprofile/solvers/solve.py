@@ -1,4 +1,4 @@
-"""Solving a problem or a case: the public functions."""
+"""Public functions that solve a problem or a case."""
 
 from __future__ import annotations
 
@@ -30,12 +30,24 @@ def solve_hj(
     progress: Progress | None = None,
     refresh: float | None = None,
 ) -> Run:
-    """Solves u_t + K f(u_x - 1) = 0 on the nodes, as W = u - x (theory, §2).
+    """Solve u_t + K f(u_x - 1) = 0 on the nodes of a grid, with the unknown W = u - x (theory, §2).
 
-    `method` is one of the methods for u (docs/cases.md), by default a local Lax-Friedrichs scheme; `cfl` the time step
-    as a part of the largest that the method admits, up to 1; `refresh` how long the factor is kept before it is
-    updated (theory, §10; None: it is updated in every step). Raises InputError for bad input, and RunError if the run
-    cannot start; one that breaks down later returns what was good, with the reason in `status`.
+    - `problem`: law, profile, end and saved times; all dimensionless.
+    - `grid`: left end and number of cells; x and u in exchange lengths.
+    - `method`: a method for u (docs/cases.md), by default a local Lax-Friedrichs scheme.
+    - `cfl`: the time step as a fraction of the largest one that the method admits, up to 1.
+    - `progress`: a function that is called with the completed fraction in [0, 1].
+    - `refresh`: refresh interval of a frozen K, in supplied mass (theory, §10); None computes K in every step.
+
+    Return a `Run` at the saved times, with u and K of shape (times, cells + 1) and q of shape (times, cells). A run
+    that breaks down later returns the good states, with the reason in `status`. Raise InputError for invalid input, and
+    RunError if the run cannot start.
+
+    >>> import hjprofile as hj
+    >>> problem = hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0)
+    >>> run = hj.solve_hj(problem, hj.Grid(left=-5.0, cells=200))
+    >>> run.status, run.u.shape
+    ('done', (31, 201))
     """
     return solve_with(find_method(method, named(Form.HEIGHT)), problem, grid, cfl, progress, refresh)
 
@@ -48,11 +60,20 @@ def solve_conservative(
     progress: Progress | None = None,
     refresh: float | None = None,
 ) -> Run:
-    """Solves q_t + (K f(q))_x = 0 on the cells.
+    """Solve q_t + (K f(q))_x = 0 on the cells of a grid.
 
-    `method` is "conservative", second order and independent of `solve_hj`, or "conservative-" before the name of one of
-    its methods: that carries the flux over, and the two forms agree to rounding. Otherwise as `solve_hj`, with the same
-    errors raised.
+    - `problem`, `grid`, `cfl`, `progress`, `refresh`: as for `solve_hj`.
+    - `method`: "conservative", which is second order and independent of `solve_hj`, or "conservative-" before the name
+      of one of its methods. The latter uses the same flux, and the two forms agree to rounding.
+
+    Return a `Run`, with the heights integrated from q. Raise InputError and RunError as `solve_hj`.
+
+    >>> import hjprofile as hj
+    >>> problem = hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0)
+    >>> grid = hj.Grid(left=-5.0, cells=200)
+    >>> apart = hj.compare(hj.solve_hj(problem, grid), hj.solve_conservative(problem, grid))
+    >>> apart.slope_l1 < 0.02
+    True
     """
     return solve_with(find_method(method, named(Form.SLOPE)), problem, grid, cfl, progress, refresh)
 
@@ -61,7 +82,7 @@ def solve_with(
     method: Method, problem: Problem, grid: Grid, cfl: float = DEFAULT_CFL, progress: Progress | None = None,
     refresh: float | None = None,
 ) -> Run:  # fmt: skip
-    """Solves with a method on a grid, as `solve_hj` and `solve_conservative`."""
+    """Solve with a method on a grid, as `solve_hj` and `solve_conservative`."""
     instance("problem", problem, Problem)
     check(method, problem, grid, refresh)
     return on_grid(problem, grid, method, cfl, progress, refresh=refresh)
@@ -74,15 +95,24 @@ def track_fronts(
     progress: Progress | None = None,
     exact: bool | None = None,
 ) -> Run:
-    """Solves by tracking `fronts` fronts (more where fans open), and reads the result on a grid (theory, §5).
+    """Solve by front tracking, and evaluate the result on a grid (theory, §5).
 
-    Data that are kinks only are solved exactly, whatever `fronts` is. With `exact` the fronts of other data are moved
-    to rounding too: each meets its neighbour in its own time, so that mass and volume are kept to 1e-10, at some fifty
-    times the seconds; the error that comes from the number of fronts stays.
+    - `problem`: law, profile, end and saved times; q must be 0 at the left end.
+    - `grid`: the nodes of the result, by default 2000 cells over the profile.
+    - `fronts`: number of fronts; more where fans open. Data that are kinks only are solved exactly for any number.
+    - `progress`: a function that is called with the completed fraction in [0, 1].
+    - `exact`: True moves the fronts of other data to rounding, too. Each merge is then located in time, and mass and
+      volume are conserved to 1e-10, in about fifty times the seconds. The error of the number of fronts remains.
 
-    The grid is by default 2000 cells over the profile. Raises InputError for bad input and for a profile with q != 0 at
-    the left end, and RunError if fronts lose the slope before the first saved time. Where q comes so near to -1 later
-    that a piece is no longer resolved, `status` says so and the last saved time is the last good one.
+    Return a `Run`. If a later state is not resolved because q is too near -1, `status` states it, and the last saved
+    time is the last good one. Raise InputError for invalid input or q != 0 at the left end, and RunError if fronts lose
+    the slope before the first saved time.
+
+    >>> import hjprofile as hj
+    >>> problem = hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0)
+    >>> run = hj.track_fronts(problem)
+    >>> round(run.kinks[-1].x, 4)
+    -2.0757
     """
     instance("problem", problem, Problem)
     grid = problem.grid() if grid is None else grid
@@ -97,13 +127,23 @@ def solve_characteristics(
     progress: Progress | None = None,
     patience: float = np.inf,
 ) -> Run:
-    """Solve by shock-fitted characteristics, with steps and panels to `tolerance`, and read the result on a grid.
+    """Solve by shock-fitted characteristics, and evaluate the result on a grid (theory, §5).
 
-    The method is in theory, §5; the tolerance is 1e-12 by default. A second run with a coarser tolerance gives
-    `error_estimate`, the error of u over the whole run. The grid is by default 2000 cells over the profile. `patience`
-    is the largest work in counted seconds, the same on every machine. If the method cannot go on, `status` gives time,
-    position and reason, and the last saved time is the last good one. Raises InputError for bad input or a flux at the
-    left end, RunError if the data cannot be cut.
+    - `problem`: law, profile, end and saved times; no flux may enter at the left end.
+    - `grid`: the nodes of the result, by default 2000 cells over the profile.
+    - `tolerance`: of steps and panels, an error of u; 1e-12 by default.
+    - `progress`: a function that is called with the completed fraction in [0, 1].
+    - `patience`: largest work in counted seconds, the same on every machine.
+
+    Return a `Run`. A second run with a coarser tolerance gives `error_estimate`, the error of u over the whole run. If
+    the method cannot continue, `status` states time, position and reason, and the last saved time is the last good one.
+    Raise InputError for invalid input or a flux at the left end, and RunError if the profile cannot be cut into panels.
+
+    >>> import hjprofile as hj
+    >>> problem = hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0)
+    >>> run = hj.solve_characteristics(problem)
+    >>> bool(run.error_estimate < 1e-11)
+    True
     """
     instance("problem", problem, Problem)
     grid = problem.grid() if grid is None else grid
@@ -114,10 +154,22 @@ def solve_characteristics(
 
 
 def solve(problem: Problem, tolerance: float, grid: Grid | None = None, progress: Progress | None = None) -> Run:
-    """Solves to a tolerance on sup|u - exact u| over all saved times with the least work (`solvers/select.py`).
+    """Solve to a tolerance on sup|u - u_exact| over all saved times, with the least work.
 
-    The result is read on `grid`, by default 2000 cells over the profile. `method` says what was chosen, `account` why,
-    and `error_estimate` what was reached. Raises InputError for bad input, and RunError if no method gets through.
+    - `problem`: law, profile, end and saved times.
+    - `tolerance`: the largest error of u, dimensionless, from 1e-13 to 1.
+    - `grid`: the nodes of the result, by default 2000 cells over the profile.
+    - `progress`: a function that is called with the completed fraction in [0, 1].
+
+    Return a `Run`: `method` is the chosen method, `account` states the reason, and `error_estimate` the estimated
+    error. If the tolerance is not met, `status` states it. Raise InputError for invalid input, and RunError if no
+    method reaches the end.
+
+    >>> import hjprofile as hj
+    >>> problem = hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0)
+    >>> run = hj.solve(problem, tolerance=1e-6)
+    >>> run.method, run.error_estimate < 1e-6
+    ('fronts', True)
     """
     instance("problem", problem, Problem)
     method = METHODS["auto"]
@@ -129,12 +181,20 @@ def solve(problem: Problem, tolerance: float, grid: Grid | None = None, progress
 
 
 def solve_case(case: Case, progress: Progress | None = None, strict: bool = False, keeper: Keeper | None = None) -> Run:
-    """Solves a case by its own method.
+    """Solve a case by its own method.
 
-    With `strict` a run on a grid stops where it breaks a bound that its method promises; any other returns with that
-    as its status. A keeper keeps checkpoints of runs on a grid; others take seconds. Raises InputError if the case asks
-    for incompatible options, or for checkpoints of a Python function of no file. Raises RunError if the run cannot
-    start, or if no method gets through with `auto`.
+    - `case`: a `Case`, as `load_case` returns it.
+    - `progress`: a function that is called with the completed fraction in [0, 1].
+    - `strict`: True stops a run on a grid that violates a bound of its method. Runs of other methods return with the
+      violated bound as `status`.
+    - `keeper`: a store of checkpoints of runs on a grid; runs of other methods take seconds.
+
+    Return a `Run`. Raise InputError for incompatible options, and for checkpoints with a Python function that is not in
+    a file. Raise RunError if the run cannot start, or if no method reaches the end with `auto`.
+
+    >>> import hjprofile as hj
+    >>> hj.solve_case(hj.load_case("travelling_kink", {"domain.cells": 200})).status
+    'done'
     """
     instance("case", case, Case)
     method = check_case(case)
@@ -156,11 +216,12 @@ def check(method: Method, problem: Problem, grid: Grid, refresh: float | None = 
 
 
 def _require(method: Method, problem: Problem, refresh: float | None) -> None:
+    """Raise InputError if a method does not support the features of a problem."""
     require(f"the method {method.name}", method.supports, requirements(problem, refresh), METHODS.values())
 
 
 def check_case(case: Case) -> Method:
-    """Return the method of a case. Raises InputError if there is none, or it cannot do what the case asks for."""
+    """Return the method of a case. Raise InputError if there is none, or if it does not support the case."""
     try:
         method = find_method(case.method)
         if case.tolerance is not None and method.tolerance is None:
@@ -181,7 +242,7 @@ def check_case(case: Case) -> Method:
 
 
 def _tolerance(method: Method, asked: object) -> float:
-    """Return a tolerance. Raises InputError if the method cannot solve to it."""
+    """Return a tolerance. Raise InputError if the method cannot solve to it."""
     least, most = method.tolerance or (0.0, np.inf)
     if not least <= (tolerance := as_number(asked)) <= most:
         raise InputError(f"tolerance = {shown(asked)} must lie between {least:g} and {most:g}")

@@ -1,4 +1,4 @@
-"""Why a run stopped: a reason to decide by, and numbers from which the sentence is composed when it is shown."""
+"""Reasons for which a run stops, with the numbers of their sentences."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ ROBUST_METHOD = "godunov"  # the monotone method that sentences recommend
 
 
 class Reason(Enum):
-    """What kept a run from going on, or a method from solving a problem."""
+    """The cause for which a run stopped, or for which a method does not solve a problem."""
 
-    NOT_ADMISSIBLE = auto()  # q <= -1, or a K that is no finite number
+    NOT_ADMISSIBLE = auto()  # q <= -1, or K is not a finite number
     TOO_SMALL_STEPS = auto()
     BROKEN_BOUND = auto()
     NOT_SMOOTH = auto()  # data that characteristics cannot represent
-    NOT_RESOLVED = auto()  # data or a state that needs more fronts, cells or panels than there may be
+    NOT_RESOLVED = auto()  # data or a state that needs more fronts, cells or panels than allowed
     LABELS_LOST = auto()
     TOO_LONG = auto()  # more work than was allowed
     LEFT_THE_WINDOW = auto()
@@ -32,18 +32,18 @@ class Time(float):
 
 
 class Place(float):
-    """An x in a sentence."""
+    """A position x in a sentence."""
 
 
 @dataclass(frozen=True)
 class Stop:
-    """A reason and its sentence, with times and places as numbers, so that other units can be put in their place.
+    """A reason and its sentence, with times and positions as numbers, so that their units can be converted.
 
     Attributes:
-        reason: to decide by.
+        reason: for decisions.
         words: the sentence as a template of `str.format`, without the remedy.
-        remedy: what to try; "" if `values` holds a Stop that says it.
-        values: of the fields in `words`: each a Time, a Place, another Stop, or what stays as it is.
+        remedy: the advice; "" if a Stop in `values` contains it.
+        values: of the fields in `words`: each a Time, a Place, another Stop, or a value without conversion.
     """
 
     reason: Reason
@@ -53,20 +53,20 @@ class Stop:
 
     @property
     def cause(self) -> str:
-        """What happened, without what to try."""
+        """The sentence without the advice."""
         inner = {name: v.cause if isinstance(v, Stop) else v for name, v in self.values.items()}
         return self.words.format(**inner)
 
     @property
     def advice(self) -> str:
-        """What to try."""
+        """The advice."""
         return self.remedy or next((v.advice for v in self.values.values() if isinstance(v, Stop)), "")
 
     def __str__(self) -> str:
         return f"{self.cause}; {self.advice}" if self.advice else self.cause
 
     def mapped(self, time: Callable[[float], float], place: Callable[[float], float]) -> Stop:
-        """Return the same with other times and places."""
+        """Return the same with other times and positions."""
 
         def there(value: Any) -> Any:
             if isinstance(value, Stop):
@@ -79,7 +79,7 @@ class Stop:
 
 
 class Stopped(RunError):
-    """A run that could not start or go on."""
+    """A run that could not start or continue."""
 
     def __init__(self, stop: Stop):
         super().__init__(str(stop))
@@ -89,5 +89,5 @@ class Stopped(RunError):
         return type(self), (self.stop,)
 
     def mapped(self, time: Callable[[float], float], place: Callable[[float], float]) -> Stopped:
-        """Return the same with other times and places."""
+        """Return the same with other times and positions."""
         return Stopped(self.stop.mapped(time, place))

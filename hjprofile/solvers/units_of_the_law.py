@@ -1,7 +1,7 @@
-"""Problems in units in which the erosion law has f'(0) near 1, so that no threshold of a solver has a scale of its own.
+"""Problems in units in which f'(0) is near 1, so that thresholds of the solvers need no scale.
 
-If u solves the equation with the law f, then u(λx, λ²t)/λ solves it with λf; q and K stay as they are. The length λ is
-the power of 2 nearest to R(0) = 1/f'(0), so that all numbers change without rounding, and most laws have λ = 1.
+If u solves the equation with the law f, then u(λx, λ²t)/λ solves it with λf; q and K are unchanged. The length λ is the
+power of 2 nearest to R(0) = 1/f'(0), so all numbers change without rounding, and most laws have λ = 1.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Units:
 
     @property
     def inverse(self) -> Units:
-        """The units that undo these."""
+        """The inverse units."""
         return Units(1.0 / self.length)
 
     def problem(self, problem: Problem) -> Problem:
@@ -58,11 +58,11 @@ class Units:
     def grid(self, grid: Grid) -> Grid:
         """Return the grid in these units."""
         if self.length == 1.0:
-            return grid  # which may know its nodes
+            return grid  # with its nodes, which are computed once
         return replace(grid, left=grid.left / self.length, right=grid.right / self.length)
 
     def stop(self, stop: Stop) -> Stop:
-        """Return the reason why a solver stopped with its times and places in the units of the problem."""
+        """Return the reason of a stop with its times and positions in the units of the problem."""
         return stop.mapped(lambda t: t * self.time, lambda x: x * self.length)
 
     def run(self, run: Run, problem: Problem, grid: Grid) -> Run:
@@ -105,7 +105,7 @@ class Units:
 
 
 def in_units_of_the_law(solver: Callable[..., Run]) -> Callable[..., Run]:
-    """Return a solver for the half line, of a problem and a grid that go together, that works in `Units`."""
+    """Return a solver of problems on the half line and their grids that works in `Units`."""
 
     def solve(problem: Problem, grid: Grid, *args: Any, **kwargs: Any) -> Run:
         units = Units.of(problem.law)
@@ -119,7 +119,7 @@ def in_units_of_the_law(solver: Callable[..., Run]) -> Callable[..., Run]:
     return wraps(solver)(solve)
 
 
-@lru_cache(maxsize=8)  # tables of a law are kept by the identity of its f
+@lru_cache(maxsize=8)  # tables of a law are cached by the identity of its f
 def _stretched_law(
     f: Function, derivative: Function, inverse: Function | None, eta0: float, length: float
 ) -> ErosionLaw:

@@ -1,8 +1,8 @@
-"""The whole line by the half line: a window x <= right of it, in a time of its own (theory, §13).
+"""Solution on the whole line by the half line: a window x <= right with a transformed time (theory, §13).
 
-Right of the window I = W + R(q) is constant. There K/R(q) is too, hence K(t, right) = R(q)/R(0), and q at x = right is
-that of a tail which moves with the speed 1/R(0). So K at the window's end is known before the run, and in the time τ
-with dτ = K(t, right) dt the solution in the window is that of the half line that ends there.
+Right of the window I = W + R(q) is constant. There K/R(q) is constant too, hence K(t, right) = R(q)/R(0). q at x =
+right decays at constant I and moves with the speed 1/R(0). So K at the end of the window is known before the run, and
+in the time τ with dτ = K(t, right) dt the solution in the window is that of the half line that ends there.
 """
 
 from __future__ import annotations
@@ -25,15 +25,17 @@ from hjprofile.solvers.run import Array, Run
 from hjprofile.solvers.stop import Place, Reason, Stop, Stopped, Time
 
 P = ParamSpec("P")
-TOLERANCE = 1e-13  # of the change of time, relative
-SMEAR = 10.0  # cells: a grid's W at the window's end may be off by their width times the largest slope of the tail
+TOLERANCE = 1e-13  # relative tolerance of the transformation of time
+GRID_ALLOWANCE = 10.0  # allowance for W at the end of the window on a grid, in cells times q there
 
 
 class Window:
     """A problem on the whole line and its grid; `problem` and `half_grid` are the same on the half line.
 
     Attributes:
-        last: when the tail would be as steep as the kink that it belongs to can be: no later, it leaves the window.
+        last: the time at which q at the end of the window would reach its largest possible value at a kink; the kink
+            leaves the window no later.
+        outer_times: τ -> t of the saved times.
     """
 
     def __init__(self, problem: Problem, grid: Grid):
@@ -46,18 +48,22 @@ class Window:
         W = profile.W(np.array([grid.left, grid.right]), self.law)
         self.I = float(W[1] + self.law.R(self.q))
         self.last, self._solution = self._follow_tail(self.I - float(W[0]))
-        kept = problem.times[problem.times <= self.last]
-        if not kept.size:
+        outer_times = problem.times[problem.times <= self.last]
+        if not outer_times.size:
             raise Stopped(self._left("before the first saved time, t = {t:.6g}, ", problem.times[0]))
-        inner = self.time(np.append(kept, self.last))
-        self.kept = dict(zip(inner.tolist(), kept.tolist(), strict=False))
+        inner = self.time(np.append(outer_times, self.last))
+        self.outer_times = dict(zip(inner.tolist(), outer_times.tolist(), strict=False))
         self.problem = replace(
-            problem, line="half", profile=moved(profile, -grid.right), end=float(inner[-1]), snapshots=list(self.kept)
+            problem,
+            line="half",
+            profile=moved(profile, -grid.right),
+            end=float(inner[-1]),
+            snapshots=list(self.outer_times),
         )
         self.half_grid = replace(grid, left=grid.left - grid.right, right=0.0)
 
     def _follow_tail(self, most: float):
-        """How long the tail's R stays below `most`, and over that time ln q of the tail and τ."""
+        """Return the time for which R at the window's end stays below `most`, and ln q there and τ over that time."""
         end = self.whole.end
         if not self.q or not end:
             return end, None
@@ -78,17 +84,17 @@ class Window:
         return float(tail.t[-1]), tail.sol
 
     def slope(self, t: Array) -> Array:
-        """q of the tail at the window's end."""
+        """Return q at the end of the window."""
         return np.exp(self._solution(t)[0]) if self._solution else np.full_like(t, self.q)
 
     def time(self, t: Array) -> Array:
-        """τ, the time of the half line; 0 at 0, increasing."""
+        """Return τ, the time of the half line; 0 at 0, increasing."""
         return np.where(t > 0.0, self._solution(t)[1], 0.0) if self._solution else t.copy()
 
-    def back(self, tau: float) -> float:
-        """t at τ."""
-        if tau in self.kept or not self._solution:
-            return self.kept.get(tau, tau)
+    def outer_time(self, tau: float) -> float:
+        """Return t at τ."""
+        if tau in self.outer_times or not self._solution:
+            return self.outer_times.get(tau, tau)
         if not tau < self.problem.end:
             return self.last
         from scipy.optimize import brentq
@@ -96,11 +102,11 @@ class Window:
         return brentq(lambda t: float(self.time(np.array(t))) - tau, 0.0, self.last, xtol=1e-15) if tau > 0.0 else 0.0
 
     def K_at_right(self, t: Array) -> Array:
-        """K(t, right) = dτ/dt."""
+        """Return K(t, right) = dτ/dt."""
         return self.law.R(self.slope(t)) / self.R0
 
     def _left(self, words: str, t: float) -> Stop:
-        """The reason to stop when something has left the window."""
+        """Return the reason to stop after a kink has left the window."""
         return Stop(
             Reason.LEFT_THE_WINDOW,
             words + "q left the window at x = {x:g}",
@@ -109,21 +115,21 @@ class Window:
         )
 
     def place(self, x: float) -> float:
-        """x on the whole line of a place on the half line."""
+        """Return the position on the whole line of a position on the half line."""
         return x + self.grid.right
 
     def run_on_line(self, run: Run) -> Run:
-        """The run of `problem` on `half_grid` as one of the whole line, up to when something leaves the window."""
-        time = np.array([self.back(t) for t in run.time.tolist()])
+        """Return the run of `problem` on `half_grid` as one of the whole line, until a kink leaves the window."""
+        time = np.array([self.outer_time(t) for t in run.time.tolist()])
         right, K = self.grid.right, self.K_at_right(time)
-        exits = [self.back(e.time) for e in run.events if e.event == "exit"]
+        exits = [self.outer_time(e.time) for e in run.events if e.event == "exit"]
         W, expected = run.u[:, -1] - run.x[-1], self.I - self.law.R(self.slope(time))
         wrong = TAIL * (1.0 + np.abs(self.I))
         if run.stepped:
-            wrong += SMEAR * self.grid.dx * self.slope(time)
+            wrong += GRID_ALLOWANCE * self.grid.dx * self.slope(time)
         left = np.append(time[np.abs(W - expected) > wrong], exits)
         good = time < left.min() if left.size else time == time
-        stop, until = run.stop and run.stop.mapped(self.back, self.place), np.inf
+        stop, until = run.stop and run.stop.mapped(self.outer_time, self.place), np.inf
         gone = not good.all() or exits or (run.done and self.last < self.whole.end)
         if gone:
             stop = self._left("stopped at t = {t:.6g}: ", min([*exits, *time[~good], self.last]))
@@ -132,7 +138,7 @@ class Window:
             raise Stopped(stop)
         pace = dict(zip(run.time.tolist(), K.tolist(), strict=True))
         case = resolved_case(self.whole, self.grid, run.method)
-        if gone:  # what the run summed up on its way goes on beyond what is kept
+        if gone:  # the integrals of the run extend beyond the last saved time
             until = float(time[good][-1])
             lowered = run.u[good][0] - run.u[good][-1]
             run = replace(run, eroded_volume=self.grid.integral(lowered), toe_outflow=np.nan, crest_lowering=np.nan)
@@ -148,16 +154,16 @@ class Window:
             stop=stop,
             kinks=[
                 k._replace(
-                    time=self.back(k.time), x=k.x + right, speed=k.speed * pace[k.time],
+                    time=self.outer_time(k.time), x=k.x + right, speed=k.speed * pace[k.time],
                     rankine_hugoniot_speed=k.rankine_hugoniot_speed * pace[k.time],
                 )
-                for k in run.kinks if self.back(k.time) <= until
+                for k in run.kinks if self.outer_time(k.time) <= until
             ],
             events=[
-                e._replace(time=self.back(e.time), x=e.x + right)
-                for e in run.events if self.back(e.time) <= until
+                e._replace(time=self.outer_time(e.time), x=e.x + right)
+                for e in run.events if self.outer_time(e.time) <= until
             ],
-            bounds={name: b._replace(time=self.back(b.time), x=b.x + right) for name, b in run.bounds.items()},
+            bounds={name: b._replace(time=self.outer_time(b.time), x=b.x + right) for name, b in run.bounds.items()},
         )  # fmt: skip
 
 
@@ -168,7 +174,7 @@ def _with_caution(run: Run, problem: Problem) -> Run:
 
 
 def also_on_the_whole_line(solver: Callable[P, Run]) -> Callable[P, Run]:
-    """A solver for the half line, of a problem and a grid, that solves on windows of the whole line as well."""
+    """Return a solver of problems on the half line that also solves on windows of the whole line."""
 
     run_half: Callable[..., Run] = solver
 
@@ -180,7 +186,7 @@ def also_on_the_whole_line(solver: Callable[P, Run]) -> Callable[P, Run]:
         try:
             run = run_half(window.problem, window.half_grid, *args, **kwargs)
         except Stopped as error:
-            raise error.mapped(window.back, window.place) from None
+            raise error.mapped(window.outer_time, window.place) from None
         return _with_caution(window.run_on_line(run), problem)
 
     return wraps(solver)(solve)  # type: ignore[return-value]

@@ -1,1 +1,1 @@
-"""Is it right: the consistency test and observed orders."""
+"""Studies that use many runs."""

@@ -14,13 +14,13 @@ from hjprofile.problem.units import Units
 from hjprofile.solvers.run import Array, KinkRecord, Run
 
 ABOUT = "a-check-or-a-study"
-STRONG = 0.25  # jump above which every method here sees a kink on a few hundred cells
+DETECTED_JUMP = 0.25  # jump above which every method detects a kink on a few hundred cells
 
 
 class Comparison(NamedTuple):
-    """Distances of two runs over all times that both have saved, t = 0 among them if it is one.
+    """Distances of two runs over all shared saved times, including t = 0 if it is shared.
 
-    Times that differ by rounding only are one.
+    Times that differ by rounding only count as equal. All values are dimensionless.
 
     Attributes:
         slope_l1: ∫|(D u₁ - 1) - q₂| dx, where D u is the difference quotient on the cells; the mean over the times.
@@ -28,7 +28,7 @@ class Comparison(NamedTuple):
         height_l1: ∫|u₁ - u₂| dx, the mean over the times.
         height_sup: sup|u₁ - u₂|, the largest of all times.
         kinks: |x₁ - x₂| of the kinks whose jump exceeds 0.25, the mean over those times after the start at which both
-            runs see as many; NaN if there are none.
+            runs have the same number of them; NaN if there are none.
         shared_times: number of these times.
     """
 
@@ -41,14 +41,16 @@ class Comparison(NamedTuple):
 
 
 class Shared(NamedTuple):
-    """Two runs on the grid and at the times that they share.
+    """Two runs on their common grid and at their shared times.
 
-    first, second: numbers of the shared times in each run, shape (times,).
-    x, x_cell: nodes and midpoints of the coarser grid.
-    height: u of both runs there, shape (2, times, cells + 1).
-    slope: q of both runs, means over the cells of the coarser grid, shape (2, times, cells): of the first run from its
-        u, D u - 1, where D is the difference quotient, so that a comparison with a second equation is one.
-    units: of the survey that both runs are of; None if one of them has none.
+    Attributes:
+        first, second: indices of the shared times in each run, shape (times,).
+        x, x_cell: nodes and midpoints of the coarser grid.
+        height: u of both runs there, shape (2, times, cells + 1).
+        slope: q of both runs, means over the cells of the coarser grid, shape (2, times, cells). For the first run it
+            is D u - 1, with D the difference quotient, so that a comparison with the conservation law compares two
+                equations.
+        units: of the survey of both runs; None if one of them has none.
     """
 
     first: Array
@@ -61,9 +63,9 @@ class Shared(NamedTuple):
 
 
 def shared(first: Run, second: Run) -> Shared:
-    """Return both runs on the grid and at the times that they share.
+    """Return both runs on their common grid and at their shared times.
 
-    The grids must be the same, or one a refinement of the other by a whole number. Raises InputError otherwise, or if
+    The grids must be the same, or one a refinement of the other by an integer factor. Raise InputError otherwise, or if
     the runs share no saved time, or are of surveys in different units.
     """
     if first.units and second.units and not first.units.same(second.units):
@@ -97,7 +99,7 @@ def shared(first: Run, second: Run) -> Shared:
 
 
 def _shared_times(first: Array, second: Array) -> tuple[Array, Array]:
-    """Return the numbers of the times in each that are in both, to rounding; each is taken once."""
+    """Return the indices, in each of the lists, of the times that are in both to rounding; each is used once."""
     nearest = np.searchsorted(0.5 * (second[1:] + second[:-1]), first)
     near = np.flatnonzero(np.abs(first - second[nearest]) <= SAME_TIME * max(first[-1], second[-1]))
     j, once = np.unique(nearest[near], return_index=True)
@@ -105,10 +107,18 @@ def _shared_times(first: Array, second: Array) -> tuple[Array, Array]:
 
 
 def compare(first: Run, second: Run) -> Comparison:
-    """Return the distances of two runs on the coarser of their grids and at the times that both have saved.
+    """Return the distances of two runs on the coarser of their grids and at their shared saved times.
 
-    Raises InputError if the grids differ in their ends, or if the cells of neither are a whole multiple of those of
-    the other. Raises it also if the runs share no saved time, or are of surveys in different units.
+    - `first`, `second`: runs over the same interval; the number of cells of one is a multiple of that of the other.
+
+    Return a `Comparison`. Raise InputError if the grids differ in their ends or do not nest. Raise it also if the runs
+    share no saved time, or are of surveys in different units.
+
+    >>> import hjprofile as hj
+    >>> problem = hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0)
+    >>> coarse, fine = (hj.track_fronts(problem, hj.Grid(left=-5.0, cells=n)) for n in (100, 200))
+    >>> hj.compare(coarse, fine).height_sup < 1e-12
+    True
     """
     for run in (first, second):
         instance("run", run, Run)
@@ -130,15 +140,22 @@ def compare(first: Run, second: Run) -> Comparison:
 
 def kink_distances(first: Sequence[KinkRecord], second: Sequence[KinkRecord]) -> Array:
     """Return |x₁ - x₂| of the kinks stronger than STRONG at one time, from the left; empty if their numbers differ."""
-    places = [np.sort([k.x for k in kinks if k.jump > STRONG]) for kinks in (first, second)]
+    places = [np.sort([k.x for k in kinks if k.jump > DETECTED_JUMP]) for kinks in (first, second)]
     return np.abs(places[0] - places[1]) if places[0].size == places[1].size else np.empty(0)
 
 
 def observed_order(cells: Sequence[float], errors: Sequence[float]) -> float:
-    """Slope of -ln(error) over ln(cells) by least squares.
+    """Return the observed order of convergence: the slope of -ln(error) over ln(cells) by least squares.
 
-    NaN if an error or a number of cells is not positive, or no finite number, or if there are fewer than two different
-    numbers of cells. Raises InputError if there are not as many errors as numbers of cells.
+    - `cells`: numbers of cells, or of fronts, of each run.
+    - `errors`: the error of each run.
+
+    Return NaN if an error or a number of cells is not positive and finite, or if there are fewer than two different
+    numbers of cells. Raise InputError if the two lists differ in length.
+
+    >>> import hjprofile as hj
+    >>> round(hj.observed_order([100, 200, 400], [4e-2, 2e-2, 1e-2]), 6)
+    1.0
     """
     n, e = as_numbers(cells), as_numbers(errors)
     if n is None or e is None:

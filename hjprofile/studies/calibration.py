@@ -1,7 +1,7 @@
-"""The inverse problem: which parameters of a case turn the profile before into the one that was surveyed after.
+"""Inverse problem: parameters of a case that map the survey before to the survey after.
 
-Least squares on heights, in the logarithms of the parameters: they are positive, and the poured volume is their
-product. u(t,x) left of the support never moves, so the heights of both surveys are compared as they are.
+The method is least squares on heights, in the logarithms of the parameters, because they are positive and the supplied
+volume is their product. u(t,x) left of the support never changes, so the heights of both surveys are compared directly.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from hjprofile.solvers.method import Feature, require, requirements
 from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.run import Array
 
-FRONTS = 1200  # of the heights: on the hillslope to 2 cm r.m.s. of 650 m
-SLOPE_FRONTS = 400  # of their derivatives: with STEP they differ there by 1 % from those of 1600
-STEP = 3e-3  # of a central difference in a logarithm: larger ones carry kinks past points, smaller ones bring noise
-RESOLVED = 0.01  # singular values below this part of the largest are no better known than the derivatives are
-WIDEST = float(np.log(3.0))  # an interval that reaches further than a factor of three: no longer linear in between
-IMPROBABLE = 1e-3  # probability below which chi² is called too large
-SAME = 3e-5  # of the relief: a change of heights that is lost in the error of FRONTS
-UNEXPLAINED = 1 / 3  # of the change of heights, r.m.s.: a fit that leaves more over has found another slope or unit
+FRONTS = 1200  # fronts for the heights: on the hillslope their error is 2 cm r.m.s. of 650 m
+SLOPE_FRONTS = 400  # fronts for their derivatives: with STEP these differ there by 1 % from those with 1600 fronts
+STEP = 3e-3  # central difference in a logarithm: larger ones move kinks past points, smaller ones add noise
+RESOLVED = 0.01  # singular values below this fraction of the largest are within the error of the derivatives
+WIDEST_HALF = float(np.log(3.0))  # largest half interval of a logarithm, a factor of three; beyond it is nonlinear
+IMPROBABLE = 1e-3  # probability below which chi² is reported as too large
+SAME = 3e-5  # change of heights, relative to the relief, that is below the error of FRONTS
+UNEXPLAINED = 1 / 3  # largest residual of a plausible fit, relative to the change of heights, r.m.s.
 ENOUGH = 1e-6  # relative change of chi², or of the parameters, at which a fit stops: hundredths of a standard error
 MOST_STEPS = 60
-FARTHEST = float(np.log(1e6))  # from the starting values that a trial may go
+FARTHEST = float(np.log(1e6))  # largest distance of a trial from the starting values, in the logarithm
 SECTIONS = "erosion", "profile", "time"
 VOLUME = "poured_volume"
 
 
 class Parameter(NamedTuple):
-    """A fitted value and its 95 % interval, whose ends are NaN where the surveys do not determine it."""
+    """A fitted value and its 95 % interval, whose ends are NaN if the surveys do not determine it."""
 
     name: str
     start: float
@@ -53,20 +53,20 @@ class Parameter(NamedTuple):
 
 @dataclass(frozen=True)
 class Calibration:
-    """What came of a fit; heights and places in the survey's units if the case has a survey.
+    """The result of a fit; heights and positions in the survey's units if the case has a survey.
 
     Attributes:
-        parameters: those that were varied, in the order in which they were named.
-        volume: the poured volume per unit width, length² critical_slope end; None if the case has no survey,
-            or none of these three was varied.
+        parameters: the varied ones, in the order of `vary`.
+        volume: the supplied volume per unit width, length² critical_slope end; None if the case has no survey, or if
+            none of these three was varied.
         correlation: of the logarithms of the parameters, shape (parameters, parameters).
-        x, measured, modelled: the surveyed points that lie on the slope, and the model's heights there.
+        x, measured, modelled: the surveyed points on the slope, and the heights of the model there.
         sigma: standard deviation of a measured height: as given, else estimated from the residuals.
-        chi2: Σ (modelled - measured)²/sigma²; None where sigma is estimated.
-        left_out: surveyed points beyond the slope's ends.
-        account: what was done to the survey before, or "".
-        warnings: a sentence for each thing that the surveys do not determine, or the model does not meet.
-        curve: x, height before and height after on a fine grid, shape (3, n), to be drawn.
+        chi2: Σ (modelled - measured)²/sigma²; None if sigma is estimated.
+        left_out: number of surveyed points beyond the ends of the slope.
+        account: changes of the survey before, or "".
+        warnings: a sentence for each parameter that the surveys do not determine, and for each misfit of the model.
+        curve: x, height before and height after on a fine grid, shape (3, n), for plots.
         case: the resolved case with the fitted values, ready for TOML; its files by absolute paths.
     """
 
@@ -90,17 +90,17 @@ class Calibration:
 
     @property
     def rms(self) -> float:
-        """Root mean square of the residuals."""
+        """The root mean square of the residuals."""
         return float(np.sqrt(np.mean((self.modelled - self.measured) ** 2)))
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Points less parameters."""
+        """The number of points less the number of parameters."""
         return self.x.size - len(self.parameters)
 
 
 class _Model:
-    """Heights after, as a function of the logarithms z of the parameters over their starting values."""
+    """Heights after, as a function of the logarithms z of the parameters relative to their starting values."""
 
     def __init__(self, path: str | Path, vary: Sequence[str]):
         self.path, self.names = path, plain(vary)
@@ -132,16 +132,16 @@ class _Model:
         self.evaluations = 0
 
     def overrides(self, z: Array) -> dict[str, Any]:
-        """Values by dotted key. The left end of the domain keeps its place in the survey's units."""
+        """Return values by dotted key. The left end of the domain retains its position in the survey's units."""
         values: dict[str, Any] = dict(zip(self.names, (self.start * np.exp(z)).tolist(), strict=True))
         left = self.first.grid.left
         if self.surveyed:
             left *= self.units.length / values.get("profile.length", self.units.length)
         return values | {"domain.left": left, "time.snapshots": 1}
 
-    @np.errstate(all="ignore")  # a trial far off may leave the range of numbers: InputError or RunError say so
+    @np.errstate(all="ignore")  # a distant trial may leave the range of numbers, which raises InputError or RunError
     def heights(self, z: Array, x: Array, end: float | None = None, fronts: int = 0) -> Array:
-        """Heights at x, in the survey's units, at the end or at another time `end`."""
+        """Return the heights at x, in the survey's units, at the end or at another time `end`."""
         self.evaluations += 1
         changed = self.overrides(z) | ({} if end is None else {"time.end": end})
         case = load_case(self.path, changed)
@@ -150,12 +150,12 @@ class _Model:
         return units.height(heights_at_end(case.problem, case.grid.left, place, fronts or FRONTS))
 
     def before(self, x: Array) -> Array:
-        """Heights of the case's own profile at x, in the survey's units."""
+        """Return the heights of the case's own profile at x, in the survey's units."""
         place = np.minimum((x - self.units.x_top) / self.units.length, 0.0)
         return self.units.height(place + self.first.problem.profile.W(place, self.first.problem.law))
 
     def residuals(self, z: Array, x: Array, measured: Array) -> Array:
-        """Modelled less measured heights; infinite where the model has no solution, from which the fit steps back."""
+        """Return modelled less measured heights; infinite if the model has no solution, which reduces the next step."""
         if np.abs(z).max() > FARTHEST:
             return np.full(x.size, np.inf)
         try:
@@ -164,7 +164,7 @@ class _Model:
             return np.full(x.size, np.inf)
 
     def jacobian(self, z: Array, x: Array) -> Array:
-        """∂heights/∂z by central differences, shape (points, parameters)."""
+        """Return ∂heights/∂z by central differences, shape (points, parameters)."""
         ahead, back = (
             np.stack([self.heights(z + h, x, fronts=SLOPE_FRONTS) for h in sign * STEP * np.eye(z.size)], axis=1)
             for sign in (1.0, -1.0)
@@ -172,12 +172,12 @@ class _Model:
         return (ahead - back) / (2.0 * STEP)
 
     def powers_in_volume(self) -> Array:
-        """d ln(length² critical_slope end)/dz."""
+        """Return d ln(length² critical_slope end)/dz."""
         powers = {"profile.length": 2.0, "profile.critical_slope": 1.0, "time.end": 1.0}
         return np.array([powers.get(name, 0.0) for name in self.names])
 
     def fitted(self, z: Array) -> dict[str, Any]:
-        """The resolved case with the fitted values; saved times keep their parts of the end."""
+        """Return the resolved case with the fitted values; saved times retain their fractions of the end."""
         table = _resolved(load_case(self.path, self.overrides(z)))
         snapshots, end = self.table["time"]["snapshots"], self.table["time"]["end"]
         if isinstance(snapshots, list):
@@ -190,19 +190,32 @@ class _Model:
 
 
 def _resolved(case: Case) -> dict[str, Any]:
+    """Return the resolved case as a table."""
     return resolved_case(case.problem, case.grid, case.method, case.cfl, case.tolerance, case.refresh)
 
 
 def fit(case: str | Path, x: Array, height: Array, vary: Sequence[str], sigma: float | None = None) -> Calibration:
-    """Fits parameters of a case so that its profile at `time.end` meets the surveyed points (x, height).
+    """Fit parameters of a case so that its profile at `time.end` matches the surveyed points (x, height).
 
-    The case's own profile is the survey before. `vary` names positive numbers of its sections [erosion], [profile] and
-    [time] by dotted keys, as in "profile.critical_slope"; the fit starts from their values in the case. x, increasing,
-    and height are in the survey's units if the profile is a survey, else dimensionless. `sigma` is the standard
-    deviation of a measured height; without it, it is estimated from the residuals.
+    - `case`: a path or the name of a shipped case; its own profile is the survey before.
+    - `x`, `height`: positions, increasing, and heights of the survey after, shape (points,). They are in the survey's
+      units if the profile is a survey, else dimensionless.
+    - `vary`: dotted keys of positive numbers of the sections [erosion], [profile] and [time], as in
+      "profile.critical_slope". The fit starts from their values in the case.
+    - `sigma`: standard deviation of a measured height, in the unit of `height`; by default estimated from the
+      residuals.
 
-    Intervals are those of the linearised model in the logarithms of the parameters. Raises InputError for what cannot
-    be fitted, and RunError if the fit does not converge.
+    Return a `Calibration`. Its intervals are those of the model linearised in the logarithms of the parameters. Raise
+    InputError for invalid input, and RunError if the fit does not converge.
+
+    >>> import numpy as np
+    >>> import hjprofile as hj
+    >>> truth = hj.load_case("travelling_kink", {"time.end": 1.2})
+    >>> run = hj.track_fronts(truth.problem, truth.grid)
+    >>> x = np.linspace(-6.0, 0.0, 60)
+    >>> found = hj.fit("travelling_kink", x, np.interp(x, run.x, run.u[-1]), vary=["time.end"])
+    >>> round(found.parameters[0].value, 4)
+    1.2
     """
     from scipy.optimize import least_squares
     from scipy.special import chdtrc, ndtri, stdtrit
@@ -212,7 +225,7 @@ def fit(case: str | Path, x: Array, height: Array, vary: Sequence[str], sigma: f
     model = _Model(case, vary)
     at, measured, fine = _on_the_slope(model, x, height)
     zero = np.zeros(len(model.names))
-    model.heights(zero, at)  # its own error if the case cannot be solved
+    model.heights(zero, at)  # raises the error of the case if it cannot be solved
     unit = sigma or 1.0
     found = least_squares(
         lambda z: model.residuals(z, at, measured) / unit, zero, lambda z: model.jacobian(z, at) / unit,
@@ -235,7 +248,7 @@ def fit(case: str | Path, x: Array, height: Array, vary: Sequence[str], sigma: f
     hidden = {name for names, _ in blind for name in names}
     warnings = [sentence for _, sentence in blind]
     for i, name in enumerate(model.names):
-        if half[i] > WIDEST and name not in hidden:
+        if half[i] > WIDEST_HALF and name not in hidden:
             hidden.add(name)
             warnings.append(_undetermined(i, model.names, correlation))
     chi2 = float(np.sum((residual / sigma) ** 2)) if sigma else None
@@ -265,9 +278,9 @@ def fit(case: str | Path, x: Array, height: Array, vary: Sequence[str], sigma: f
 
 
 def _on_the_slope(model: _Model, x: Array, height: Array) -> tuple[Array, Array, Array]:
-    """The points that lie between the first and the last point of the survey before, or in the domain; and a fine x.
+    """Return the points between the ends of the survey before, or of the domain, and a fine x.
 
-    Raises InputError if they are too few.
+    Raise InputError if the points are too few.
     """
     x, height = (v if (v := as_numbers(given)) is not None else np.array(np.nan) for given in (x, height))
     fits = x.ndim == 1 and x.shape == height.shape and np.all(np.abs([x, height]) <= HIGHEST)
@@ -278,7 +291,7 @@ def _on_the_slope(model: _Model, x: Array, height: Array) -> tuple[Array, Array,
         raise InputError(f"the survey after has {height[i]:g} at x = {x[i]:g}, which is not a measured height; omit it")
     begin = model.first.problem.profile.start() if model.surveyed else model.first.grid.left
     last = float(model.units.x(0.0))
-    first = last - float(f"{last - float(model.units.x(begin)):.9g}")  # less rounding: 0 shall read as 0
+    first = last - float(f"{last - float(model.units.x(begin)):.9g}")  # without rounding: 0 is printed as 0
     hair = 1e-9 * (last - first)  # the ends have been divided by the length and multiplied again
     on = (x >= first - hair) & (x <= last + hair)
     if np.count_nonzero(on) <= len(model.names):
@@ -292,7 +305,7 @@ def _on_the_slope(model: _Model, x: Array, height: Array) -> tuple[Array, Array,
 def _of_two_surveys(
     model: _Model, x: Array, measured: Array, residual: Array, beyond: int, sigma: float | None
 ) -> list[str]:
-    """What is told where the two surveys are the same, or do not belong together. `beyond`: points off the slope."""
+    """Return warnings if the surveys are equal or do not match. `beyond` is the number of points off the slope."""
     from scipy.special import chdtrc
 
     warnings = []
@@ -318,11 +331,12 @@ def _of_two_surveys(
 
 
 def _parameter(name: str, start: float, value: float, half: float) -> Parameter:
+    """Return a Parameter with its interval in the logarithm."""
     return Parameter(name, float(start), float(value), float(value * np.exp(-half)), float(value * np.exp(half)))
 
 
 def _covariance(jacobian: Array, names: Sequence[str]) -> tuple[Array, Array, list[tuple[set[str], str]]]:
-    """(JᵀJ)⁻¹, its correlations, and which parameters the heights do not tell apart, with a sentence each."""
+    """Return (JᵀJ)⁻¹, its correlations, and the parameters that the heights do not determine, with a sentence each."""
     norms = np.sqrt(np.sum(jacobian**2, axis=0))
     blind = [
         ({n}, f"{n} has no effect on the surveyed heights near its value")
@@ -334,7 +348,7 @@ def _covariance(jacobian: Array, names: Sequence[str]) -> tuple[Array, Array, li
     for row in rows[singular < RESOLVED * singular[0]]:
         i, j = sorted(np.argsort(np.abs(row))[-2:])
         involved = {n for n, v in zip(names, row, strict=True) if abs(v) > 0.1}
-        if len(involved) == 1:  # it has no effect: that has been said
+        if len(involved) == 1:  # it has no effect, which is reported above
             continue
         blind.append(
             (involved, f"{names[i]} and {names[j]} cannot be distinguished by these surveys, because a change of "
@@ -347,7 +361,7 @@ def _covariance(jacobian: Array, names: Sequence[str]) -> tuple[Array, Array, li
 
 
 def _undetermined(i: int, names: Sequence[str], correlation: Array) -> str:
-    """A sentence on a parameter whose interval is too wide, with the one that it goes with."""
+    """Return a sentence on a parameter whose interval is too wide, with the parameter that correlates with it."""
     sentence = f"{names[i]} is not determined by these surveys: its interval exceeds a factor of three"
     others = np.abs(correlation[i])
     others[i] = 0.0

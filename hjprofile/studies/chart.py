@@ -21,18 +21,18 @@ from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.run import Array, Run
 from hjprofile.solvers.solve import solve_characteristics, solve_with, track_fronts
 
-# Neighbouring grids, not doubled ones: an error jitters with the place of a kink inside its cell
+# Neighbouring grids, not doubled ones, because an error varies with the position of a kink in its cell
 CELLS = tuple(int(n) for n in np.geomspace(250, 8000, 12).round())
 FRONTS = 100, 200, 400, 800, 1600, 3200
 TOLERANCES = 1e-7, 1e-9, 1e-11
 REFERENCE_FRONTS = 12800
 STEEP_REFERENCE_FRONTS = 3200  # under a law of linear growth, where a front costs ten times as much
 REPEATS = 3
-PATIENCE = 0.3  # seconds that a run may take before finer ones of its method are left out
-SNAPSHOTS = 5  # times over which errors are taken
-ROUNDING = 4.0 * float(np.finfo(float).eps)  # of u - x of order 1 at a node
+LONGEST_RUN = 0.3  # seconds of a run above which finer runs of its method are omitted
+SNAPSHOTS = 5  # number of times over which errors are measured
+U_ROUNDING = 4.0 * float(np.finfo(float).eps)  # of u - x of order 1 at a node
 INTEGRATED = 1e-12  # error of solutions integrated to 1e-13: exact fronts; closed forms, except for the rational law
-NOTHING = 1e-12  # |q| of a slope that is critical to rounding
+NOTHING = 1e-12  # |q| of a slope that is neutral to rounding
 SAFETY = 2.0  # error of a reference in q, as a multiple of its distance to a coarser run of its method
 
 
@@ -41,9 +41,9 @@ class Point(NamedTuple):
 
     Attributes:
         case, method: their names.
-        cells: of the grid; of `fronts` their number, and for characteristics the cells they are read on.
-        error_u_sup: sup|u - exact u|, the largest of five times, both ends among them.
-        error_q_l1: ∫|q - exact q| dx, the largest of these times. Neither is less than the error of the reference.
+        cells: of the grid; the number of fronts for `fronts`, and the cells of the result for characteristics.
+        error_u_sup: sup|u - u_exact|, the largest of five times including both ends.
+        error_q_l1: ∫|q - q_exact| dx, the largest of these times. Both errors are at least those of the reference.
         seconds, steps: of the time stepping.
     """
 
@@ -57,13 +57,13 @@ class Point(NamedTuple):
 
 
 class Reference(NamedTuple):
-    """A reference solution, from which errors are measured.
+    """A reference solution, relative to which errors are measured.
 
     Attributes:
         name: of the method.
-        error, error_q: of its u and of its q, as `Point` has them, by its own estimate; 0 for a closed form in
+        error, error_q: of its u and of its q in the norms of `Point`, by its own estimate; 0 for a closed form in
             elementary functions.
-        at: a function of a grid: u and q at the five times, shapes (5, cells + 1) and (5, cells).
+        at: a function of a grid that returns u and q at the five times, shapes (5, cells + 1) and (5, cells).
     """
 
     name: str
@@ -77,10 +77,22 @@ def chart(
 ) -> tuple[list[Point], Reference]:
     """Run every method at several resolutions; each point has the median seconds of three runs.
 
-    Seconds are those of the time stepping alone, compilation and output apart. Errors are sup|u - exact u| and
-    ∫|q - exact q| dx, the largest of five times, both ends among them. Methods that break down at a resolution are left
-    out there. Raises InputError if no time passes, if a coefficient is prescribed, or if the slope is critical at all
-    of these times except the first. Raises RunError if no method reaches the end.
+    - `case`: the name of the case in the points and in messages.
+    - `problem`: law, profile and end; the saved times are replaced by five even ones.
+    - `grid`: left end of the domain, and the number of cells of the results of characteristics.
+    - `cfl`: the time step as a fraction of the largest one that each method admits.
+    - `progress`: a function that is called with the completed fraction in [0, 1].
+
+    Return the points and the reference. Seconds are those of the time stepping alone, without compilation and output.
+    Errors are sup|u - u_exact| and ∫|q - q_exact| dx, the largest of five times including both ends. Methods that break
+    down at a resolution are omitted there. Raise InputError if the end is 0, if a coefficient is prescribed, or if the
+    slope is neutral at all of these times except the first. Raise RunError if no method reaches the end.
+
+    >>> import hjprofile as hj
+    >>> problem = hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0)
+    >>> points, reference = hj.chart("one kink", problem, hj.Grid(left=-5.0, cells=400))  # doctest: +SKIP
+    >>> reference.name  # doctest: +SKIP
+    'the closed form'
     """
     instance("problem", problem, Problem)
     instance("grid", grid, Grid)
@@ -114,7 +126,7 @@ def chart(
                 points.append(Point(case, method, cells, u_sup, q_l1, seconds, run.steps))
             if progress:
                 progress((i + (cells / ladder[-1][0]) ** 2) / len(plan))
-            if seconds > PATIENCE:
+            if seconds > LONGEST_RUN:
                 break
     if not points:
         raise RunError(f"{case}: no method reaches the end; `hjprofile run {case}` reports the reason")
@@ -125,7 +137,7 @@ Ladder = Sequence[tuple[int, Callable[[], Run]]]
 
 
 def _plan(problem: Problem, grid: Grid, cfl: float) -> Iterator[tuple[str, Ladder]]:
-    """Every method with its resolutions: a number for the chart, and the run."""
+    """Yield every method with its resolutions: a number for the chart, and the run."""
     able = [method for method in METHODS.values() if method.supports >= requirements(problem)]
     for method in (m for m in able if m.on_grid):
         yield method.name, [(n, partial(solve_with, method, problem, replace(grid, cells=n), cfl)) for n in CELLS]
@@ -154,12 +166,12 @@ def _reference(problem: Problem, grid: Grid) -> Reference:
             ),
         )  # fmt: skip
     steep = isinstance(problem.model, LinearGrowth)
-    if not steep:  # vertical steps are followed by fronts alone
+    if not steep:  # only fronts resolve vertical steps
         finest, _ = METHODS["characteristics"].tolerance or (0.0, 0.0)
         with suppress(RunError):
             run, coarser = (solve_characteristics(problem, grid, e) for e in (finest, 100.0 * finest))
             if run.done and coarser.done and run.error_estimate is not None:
-                rounding = ROUNDING * grid.cells * (1.0 + float(np.abs(run.u - run.x).max()))  # of differences of u
+                rounding = U_ROUNDING * grid.cells * (1.0 + float(np.abs(run.u - run.x).max()))  # of differences of u
                 error_q = max(run.error_estimate, SAFETY * _distance(run.q, coarser.q, grid)) + rounding
 
                 def by_characteristics(g: Grid) -> tuple[Array, Array]:
@@ -183,7 +195,7 @@ def _reference(problem: Problem, grid: Grid) -> Reference:
 
 
 def pareto(points: Sequence[Point]) -> list[Point]:
-    """The points that no other beats in seconds and in ∫|q - exact q| dx, from the fastest to the most accurate."""
+    """Return the points that no other exceeds in both speed and accuracy of q, from the fastest to the most exact."""
     front: list[Point] = []
     for point in sorted(points, key=lambda p: (p.seconds, p.error_q_l1)):
         if not front or point.error_q_l1 < front[-1].error_q_l1:
@@ -192,11 +204,11 @@ def pareto(points: Sequence[Point]) -> list[Point]:
 
 
 def seconds_to(points: Sequence[Point], error: float) -> float:
-    """Seconds in which one method reaches that ∫|q - exact q| dx; NaN if its points show no order.
+    """Return the seconds in which one method reaches that ∫|q - q_exact| dx; NaN if its points show no order.
 
-    How many cells it takes follows from the line through all errors in logarithms, for single ones jitter; what they
-    cost from the points between which they lie. Beyond the finest point the cost grows like cells², as that of all
-    these methods does; below the coarsest it stays.
+    The required cells follow from the line through the logarithms of all errors, because single errors vary. The
+    seconds are interpolated between the adjacent points. Beyond the finest point they grow like cells², as for all
+    these methods; below the coarsest they are constant.
     """
     points = sorted(points, key=lambda p: p.cells)
     cells, errors, seconds = (np.array([p[i] for p in points], dtype=float) for i in (2, 4, 5))

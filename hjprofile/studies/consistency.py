@@ -1,8 +1,8 @@
-"""The consistency test: the Hamilton-Jacobi equation against the conservation law, on the user's own case.
+"""Consistency test: the Hamilton-Jacobi equation against the conservation law, on the case of the user.
 
-Identity: with the same numerical flux the two forms agree to rounding; this catches an error in either code path.
-Independence: the second-order conservative solver shares nothing with the Hamilton-Jacobi solver, so that convergence
-of one to the other is evidence that both solve the equation.
+Identity: with the same numerical flux the two forms agree to rounding, which detects an error in either code path.
+Independence: the second-order conservative solver shares no code with the Hamilton-Jacobi solver, so convergence of one
+to the other is evidence that both solve the equation.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ from hjprofile.solvers.stop import ROBUST_METHOD
 from hjprofile.studies.accuracy import Comparison, compare, observed_order
 from hjprofile.studies.records import EPS, QUIET, Check, records
 
-# Of first order for u, of which orders are measured; `telescoping` balances the volume by itself
+# Methods of first order for u whose orders are measured; `telescoping` conserves the volume exactly
 CONVERGING = tuple(
     name for name, method in METHODS.items() if method.form is Form.HEIGHT and method.flux and name != "telescoping"
 )
-LEAST_CELLS, MOST_CELLS = 2000, 4000  # of the finest grid; orders read on coarser ones mislead
+LEAST_CELLS, MOST_CELLS = 2000, 4000  # limits for the finest grid; orders on coarser ones are misleading
 
-ROUNDING = 1e-10  # of volumes and distances
-SAFETY = 2.0  # on estimates from three differences: the error of a kink depends on its position within a cell
-WORST_ORDER = 0.5  # that theory gives in L1; below it a run is not in its asymptotic range
-BEST_ORDER = 1.0  # of any method on a grid across a kink
+ABSOLUTE_ROUNDING = 1e-10  # allowance for volumes and distances
+SAFETY = 2.0  # factor of estimates from three differences: the error of a kink depends on its position in a cell
+WORST_ORDER = 0.5  # order of the theory in L1; below it a run is not in its asymptotic range
+BEST_ORDER = 1.0  # order of any method on a fixed grid across a kink
 WITNESS = 1e-9  # tolerance of characteristics: far below the error of any grid here
 FRONTS = (400, 800, 1600)
-ORDER_SMOOTH = 1.5  # of a second-order method where all is smooth: measured 1.9 to 2.1; of a first-order one 1.0
-# A smooth bump, which does not break before this time under any law with f'(0) = 1 here
+ORDER_SMOOTH = 1.5  # smallest order of a second-order method on smooth data; measured: 1.9 to 2.1; first-order: 1.0
+# A smooth bump, which does not break before this time under any of the laws with f'(0) = 1
 SMOOTH = {"amplitudes": [0.3], "centres": [-3.0], "widths": [1.0]}
 SMOOTH_END, SMOOTH_CELLS = 0.5, (200, 400, 800)
 
@@ -57,7 +57,7 @@ Runs = dict[tuple[str, int], Run]
 class Consistency:
     """The consistency test of one case: true if every comparison passes; as text, a line for each.
 
-    In a test of one's own `assert hj.check("my_case.toml")` shows those that fail.
+    In a test suite, `assert hj.check("my_case.toml")` shows the failed comparisons.
     """
 
     case: str
@@ -66,7 +66,7 @@ class Consistency:
 
     @property
     def passes(self) -> bool:
-        """Whether every comparison passes."""
+        """True if every comparison passes."""
         return all(c.passes for c in self.comparisons)
 
     def __bool__(self) -> bool:
@@ -90,16 +90,24 @@ class Consistency:
         return f"<{self.case}: {'; '.join(failed) or 'passes'}>"
 
     def report(self) -> dict[str, Any]:
-        """The entry of `check.json`."""
+        """Return the entry of `check.json`."""
         comparisons = [c._asdict() for c in self.comparisons]
         about = {"case": self.case, "title": self.title, "passes": self.passes, "warnings": self.warnings}
         return about | {"comparisons": comparisons}
 
 
 def check(case: Case | str | Path, progress: Callable[[float], None] | None = None) -> Consistency:
-    """The consistency test of a case, of a case file, or of a case that comes with the package, by its name.
+    """Run the consistency test of a case: the Hamilton-Jacobi equation against the conservation law.
 
-    Raises InputError for bad input; RunError where a witness is lost.
+    - `case`: a `Case`, the path of a case file, or the name of a shipped case.
+    - `progress`: a function that is called with the completed fraction in [0, 1].
+
+    Return a `Consistency`, which is true if all comparisons pass. Raise InputError for invalid input, and RunError if a
+    reference solution fails.
+
+    >>> import hjprofile as hj
+    >>> bool(hj.check("travelling_kink"))  # doctest: +SKIP
+    True
     """
     case = case if isinstance(case, Case) else load_case(case)
     comparisons = check_consistency(case.problem, case.grid, case.cfl, progress, case.refresh, case.method)
@@ -114,13 +122,20 @@ def check_consistency(
     refresh: float | None = None,
     method: str | None = None,
 ) -> list[Check]:
-    """Return all comparisons for one problem, on four grids that end at the given one (2000 to 4000 cells).
+    """Return all comparisons for one problem, on four grids up to the given one (2000 to 4000 cells).
 
-    If `method` is a method on a grid that is not compared, only its bounds and its saved data are tested.
+    - `problem`, `grid`, `cfl`, `refresh`: as for `solve_hj`.
+    - `progress`: a function that is called with the completed fraction in [0, 1].
+    - `method`: a method on a grid that is not compared; its bounds and its saved data are tested.
 
-    With a prescribed coefficient, and with a refresh interval, the volume budget of the nonlocal factor and the third
-    witness do not exist, and both are left out. Under a law of linear growth only the methods that carry vertical steps
-    are compared (theory, §14). Raises InputError and RunError as `check`.
+    With a prescribed coefficient, and with a refresh interval, the volume budget of the nonlocal K and the third
+    witness do not exist, and both are omitted. Under a law of linear growth only the methods that support vertical
+    steps are compared (theory, §14). Raise InputError and RunError as `check`.
+
+    >>> import hjprofile as hj
+    >>> case = hj.load_case("travelling_kink")
+    >>> all(c.passes for c in hj.check_consistency(case.problem, case.grid))  # doctest: +SKIP
+    True
     """
     instance("problem", problem, Problem)
     instance("grid", grid, Grid)
@@ -168,23 +183,23 @@ class Ladder:
 
     @property
     def cells(self) -> list[int]:
-        """The grids."""
+        """The numbers of cells."""
         return [r.cells for r in self.runs]
 
     @cached_property
     def steps(self) -> list[Comparison]:
-        """Distances of each run from the next finer one."""
+        """The distances of each run from the next finer one."""
         return [compare(a, b) for a, b in pairwise(self.runs)]
 
     def estimate(self, norm: str) -> float:
-        """Richardson's estimate of the error of the finest run."""
+        """Return Richardson's estimate of the error of the finest run."""
         return _richardson([getattr(c, norm) for c in self.steps])
 
     @property
     def converges(self) -> bool:
         """True if heights converge at least with the order of the theory."""
         away = [c.height_l1 for c in self.steps]
-        return max(away) <= ROUNDING or observed_order(self.cells[1:], away) >= WORST_ORDER
+        return max(away) <= ABSOLUTE_ROUNDING or observed_order(self.cells[1:], away) >= WORST_ORDER
 
 
 def _richardson(steps: Sequence[float]) -> float:
@@ -199,16 +214,17 @@ def _richardson(steps: Sequence[float]) -> float:
 
 
 def _completed(runs: Runs) -> Iterator[Check]:
-    """Every run reached the end and kept the bounds that its method promises; the error counts those that did not."""
+    """Check that every run reached the end and satisfied the bounds of its method; the error counts the failures."""
     for method in dict.fromkeys(m for m, _ in runs):
         mine = {n: r for (m, n), r in runs.items() if m == method}
         broken = [float(not r.done) + sum(not b.holds for b in r.bounds.values()) for r in mine.values()]
         stopped = [r.status for r in mine.values() if not r.done]
-        rule = stopped[0] if stopped else "every run ends and keeps its bounds"
+        rule = stopped[0] if stopped else "every run ends and satisfies its bounds"
         yield Check(f"bounds:{method}", list(mine), broken, None, 0.0, sum(broken) == 0, rule)
 
 
 def _bounded(name: str, cells: int, error: float, threshold: float, rule: str) -> Check:
+    """Return a Check of an error against a threshold."""
     return Check(name, [cells], [error], None, threshold, bool(error <= threshold), rule)
 
 
@@ -218,7 +234,7 @@ def _within(name: str, cells: list[int], error: list[float], estimate: float, so
     If the profile is not `resolved`, an estimate is unreliable, and the comparison stays open. It fails if one of the
     solutions is not `sound`, that is, if it does not converge although a less accurate one does.
     """
-    allowed = SAFETY * estimate + ROUNDING
+    allowed = SAFETY * estimate + ABSOLUTE_ROUNDING
     near = bool(error[-1] <= allowed)
     order = _finite(observed_order(cells, error))
     if resolved and not sound:
@@ -257,6 +273,7 @@ def _independence(ladders: dict[str, Ladder], resolved: bool) -> Iterator[Check]
 
 
 def _finite(order: float) -> float | None:
+    """Return the order, or None if it is not finite."""
     return order if np.isfinite(order) else None
 
 
@@ -301,6 +318,7 @@ def _third_witness(ladders: dict[str, Ladder], problem: Problem, grid: Grid, res
 
 
 def _sound(run: Run) -> bool:
+    """Return True if a run reached its end without cautions and with all bounds satisfied."""
     return run.done and not run.cautions and all(b.holds for b in run.bounds.values())
 
 
@@ -326,12 +344,12 @@ def _budgets(runs: Runs, ladders: dict[str, Ladder], resolved: bool) -> Iterator
     """Compare the eroded volume with ∫(K(left) - 1) dt: equal to rounding, or with an error that converges."""
     for method, one in ladders.items():
         error = [r.volume_budget_error for r in one.runs]
-        if method not in CONVERGING and max(error) <= ROUNDING:
-            yield _bounded(f"budget:{method}", one.cells[-1], error[-1], ROUNDING, "to rounding")
+        if method not in CONVERGING and max(error) <= ABSOLUTE_ROUNDING:
+            yield _bounded(f"budget:{method}", one.cells[-1], error[-1], ABSOLUTE_ROUNDING, "to rounding")
         else:
             estimate = _richardson([abs(a - b) for a, b in pairwise(error)])
             yield _within(f"budget:{method}", one.cells, error, estimate, True, resolved)
     if "telescoping" not in ladders:
         finest = ladders["conservative"].cells[-1]
         error = [runs["telescoping", finest].volume_budget_error]
-        yield _bounded("budget:telescoping", finest, error[0], ROUNDING, "to rounding")
+        yield _bounded("budget:telescoping", finest, error[0], ABSOLUTE_ROUNDING, "to rounding")

@@ -1,14 +1,14 @@
-"""Continuous dependence: how far solutions come apart that begin close together, or erode by close coefficients.
+"""Study of continuous dependence on the initial data and on the coefficient.
 
-The paper's proof in numbers. For two solutions with coefficients k and k̃ (theory, §11)
+The study evaluates an estimate of the proof in the paper. For two solutions with coefficients k and k̃ (theory, §11)
 
     ‖q - q̃‖₁(t) <= ‖q - q̃‖₁(0) + ∫_0^t E dτ ,      E = ‖k - k̃‖_∞ TV(f(q̃)) + TV(k - k̃) sup|f(q̃)| ,
 
-which is [dep_on_coefficients] with its constants, and with k = K(q), k̃ = K(q̃) the step before the Gronwall lemma that
-gives [continous-dep-on-init-data].
+which is [dep_on_coefficients] with its constants. With k = K(q), k̃ = K(q̃) it is the step before the Gronwall lemma
+that gives [continous-dep-on-init-data].
 
-Both solutions of a pair take the same time steps. So with one prescribed coefficient the scheme, which is monotone and
-conservative, lets no distance grow except by rounding: E = 0.
+Both solutions of a pair use the same time steps. So with one prescribed coefficient E = 0, and the scheme, which is
+monotone and conservative, increases no distance except by rounding.
 """
 
 from __future__ import annotations
@@ -36,33 +36,33 @@ from hjprofile.solvers.stop import ROBUST_METHOD
 from hjprofile.studies.accuracy import observed_order
 from hjprofile.studies.fractional import fractional_steps
 
-METHOD = ROBUST_METHOD  # a monotone one: the contractions of the theory hold for it too
+METHOD = ROBUST_METHOD  # a monotone method: the contractions of the theory hold for it too
 CELLS = 1000
-MOMENTS = 41  # saved times, ends included, over which E is integrated
-SIZES = (0.3, 0.03, 0.003)  # of a disturbance, as a part of ‖q‖₁ (of 1 where that is smaller)
-PAIRS = 8  # of each size
-PARTS = (0.2, 0.05, 0.0125)  # of a coefficient, by which it is off
-WAVES = 4  # disturbances of a coefficient, each a sum of SUMMANDS
+MOMENTS = 41  # number of saved times, ends included, over which E is integrated
+SIZES = (0.3, 0.03, 0.003)  # sizes of a disturbance, as fractions of ‖q‖₁ (of 1 if that is smaller)
+PAIRS = 8  # pairs of each size
+PARTS = (0.2, 0.05, 0.0125)  # relative disturbances of a coefficient
+WAVES = 4  # number of disturbances of a coefficient, each a sum of SUMMANDS
 SUMMANDS = 3
-REFRESHES = (64, 32, 16, 8)  # time steps of mean length that make a fractional step
-TIMES_OF_K = 17  # at which a coefficient is compared with itself
-PIECES = 4  # a disturbance is a step function of so many pieces at most
-NOTHING = 1e-12  # |q| of a slope that is critical to rounding
-ROUNDING = 1e-9  # part of a bound by which a distance may exceed it
-FASTER = 0.02  # by which the speed may rise over a batch of steps
-SHARE = 0.5  # of 1 + q, which no disturbance exceeds
+REFRESHES = (64, 32, 16, 8)  # lengths of a fractional step, in mean time steps
+TIMES_OF_K = 17  # number of times at which a coefficient is compared with itself
+PIECES = 4  # largest number of pieces of a piecewise constant disturbance
+NOTHING = 1e-12  # |q| of a slope that is neutral to rounding
+BOUND_EXCESS = 1e-9  # relative excess of a distance over its bound that counts as rounding
+FASTER = 0.02  # relative increase of the speed that a batch of steps allows
+SHARE = 0.5  # largest disturbance as a fraction of 1 + q
 
 
 class Distance(NamedTuple):
     """‖q - q̃‖₁ of one pair at one time.
 
     Attributes:
-        study: "data" (two slopes), "zero" (a slope and the critical one), "coefficient" (k and a disturbed k),
-            "refresh" (K anew in every step and K in fractional steps; a mean over time), "refresh kinks" (the same,
-            the distance of kinks; NaN where there are none).
+        study: "data" (two slopes), "zero" (a slope and the neutral one), "coefficient" (k and a disturbed k), "refresh"
+            (K in every step and frozen in fractional steps; a mean over time), "refresh kinks" (the same, the distance
+            of kinks; NaN if there are none).
         member: number of the pair.
-        size: ‖q - q̃‖₁ at t = 0; of a disturbed k the largest part of k by which it is off; the fractional step.
-        bound: what `distance` cannot exceed: see the module; for "zero" ‖q‖₁ at t = 0; NaN for fractional steps.
+        size: ‖q - q̃‖₁ at t = 0; the largest relative disturbance of k; the fractional step.
+        bound: upper bound of `distance`: see the module; for "zero" ‖q‖₁ at t = 0; NaN for fractional steps.
     """
 
     case: str
@@ -79,8 +79,8 @@ def dependence(
 ) -> list[Distance]:
     """Disturb the problem's profile, then its coefficient, and measure the distances of the solutions.
 
-    The method is METHOD on CELLS cells. Raises InputError if a flux enters, if no time passes, or if the slope is
-    critical at all saved times except the first. Raises RunError if a run stops.
+    The method is METHOD on CELLS cells. Raise InputError if a flux enters, if the end is 0, or if the slope is neutral
+    at all saved times except the first. Raise RunError if a run stops.
     """
     instance("problem", problem, Problem)
     instance("grid", grid, Grid)
@@ -98,7 +98,7 @@ def dependence(
 
 
 class Path(NamedTuple):
-    """One of two solutions that took the same time steps, at the saved times: q on cells, K and x on nodes."""
+    """One of two solutions with the same time steps, at the saved times: q on cells, K and x on nodes."""
 
     time: Array
     x: Array
@@ -107,9 +107,9 @@ class Path(NamedTuple):
 
 
 def solve_together(first: Problem, second: Problem, grid: Grid) -> tuple[Path, Path]:
-    """Solve two problems by METHOD with the same time steps, as long as the faster of them admits.
+    """Solve two problems by METHOD with the same time steps, limited by the faster of the two.
 
-    They share their saved times. Raises Breakdown or Halt if one of them cannot go on.
+    They share their saved times. Raise Breakdown or Halt if one of them cannot continue.
     """
     setup = METHODS[METHOD].setup
     assert setup is not None
@@ -130,11 +130,11 @@ def solve_together(first: Problem, second: Problem, grid: Grid) -> tuple[Path, P
             steps = max(1, math.ceil(remaining * bound / (DEFAULT_CFL * schemes[0].cfl_limit * grid.dx)))
             batch = min(steps, *(one.factor.steps for one in schemes))
             dt = remaining / steps
-            met = max([one.advance(dt, batch, bound) for one in schemes])
-            if bound < met < np.inf:  # the steps are taken again, shorter
+            largest_speed = max([one.advance(dt, batch, bound) for one in schemes])
+            if bound < largest_speed < np.inf:  # repeat with shorter steps
                 for one in schemes:
-                    one.restore()
-                speed = met
+                    one.roll_back()
+                speed = largest_speed
                 continue
             t = float(target) if batch == steps else t + batch * dt
             speed = evaluate()
@@ -146,7 +146,7 @@ def solve_together(first: Problem, second: Problem, grid: Grid) -> tuple[Path, P
 
 
 class _Study:
-    """A problem on a grid, its solution, and a source of random numbers, the same ones each time."""
+    """A problem on a grid, its solution, and a random generator with a fixed seed."""
 
     def __init__(self, case: str, problem: Problem, grid: Grid):
         self.case, self.problem, self.grid, self.rng = case, problem, grid, np.random.default_rng(0)
@@ -180,7 +180,10 @@ class _Study:
         return replace(self.problem, profile=profiles.profile(lambda x: x + np.interp(x, nodes, W)))
 
     def disturbance(self, size: float) -> Array:
-        """A random step function with the L1 norm `size`, where it leaves 1 + q positive; 0 in the first cells."""
+        """Return a random piecewise constant function with the L1 norm `size`, limited so that 1 + q > 0.
+
+        It is 0 in the first cells.
+        """
         n = self.grid.cells
         edges = np.sort(self.rng.integers(n // 20, n + 1, self.rng.integers(2, PIECES + 2)))
         d = np.zeros(n)
@@ -190,7 +193,7 @@ class _Study:
         return np.maximum(d * (size / norm), -SHARE * (1.0 + self.q)) if norm > 0.0 else self.disturbance(size)
 
     def pairs(self) -> Iterator[list[Distance]]:
-        """The problem's slope and a disturbed one; the disturbed one and the critical slope."""
+        """Compare the problem's slope with a disturbed one, and the disturbed one with the neutral slope."""
         member = 0
         for size in SIZES:
             for _ in range(PAIRS):
@@ -200,7 +203,7 @@ class _Study:
                 yield self.rows("data", member, first, other) + self.to_zero(member, other)
 
     def coefficients(self) -> Iterator[list[Distance]]:
-        """The problem's own coefficient, or its K as a prescribed one, and that with waves on it."""
+        """Compare the problem's own coefficient, or its K as a prescribed one, with the same coefficient plus waves."""
         given = self.problem.coefficient or tabulated(self.base.time, self.base.x, self.base.K)
         waves = [self.waves() for _ in range(WAVES)]
         for member, (part, wave) in enumerate(product(PARTS, waves), start=1):
@@ -210,7 +213,7 @@ class _Study:
             yield self.rows("coefficient", member, first, other, part)
 
     def waves(self) -> Callable[[Any, Any], Any]:
-        """A random smooth function of t and x, no larger than 1."""
+        """Return a random smooth function of t and x with absolute values up to 1."""
         heights = self.rng.dirichlet(np.ones(SUMMANDS))
         turns = self.rng.normal(scale=3.0, size=(SUMMANDS, 2)) / (self.problem.end, -self.grid.left)
         phases = self.rng.uniform(0.0, 2.0 * np.pi, SUMMANDS)
@@ -221,7 +224,7 @@ class _Study:
     def refreshes(self) -> Iterator[list[Distance]]:
         """Compare K updated in every step with K frozen over fractional steps: means over time (see `fractional`).
 
-        Nothing is yielded if the coefficient does not depend on time, because freezing it changes nothing.
+        No distance is yielded if the coefficient does not depend on time, because freezing it changes nothing.
         """
         if self.problem.coefficient is not None and self._does_not_change(self.problem.coefficient):
             return
@@ -234,7 +237,7 @@ class _Study:
             ]
 
     def _does_not_change(self, k: Coefficient) -> bool:
-        """Whether k is known to be steady, or a function of t and x has the same values at uneven times."""
+        """Return True if k is declared steady, or has the same values at uneven times."""
         if k.steady:
             return True
         times = self.problem.end * np.sqrt(np.linspace(0.0, 1.0, TIMES_OF_K))  # even times could miss a period
@@ -242,7 +245,7 @@ class _Study:
         return bool(np.array_equal(values, np.broadcast_to(values[0], values.shape)))
 
     def rows(self, study: str, member: int, first: Path, second: Path, size: float | None = None) -> list[Distance]:
-        """The distance between two solutions; its size is that at the start if no other is given."""
+        """Return the distances between two solutions; the size is that at the start unless another is given."""
         apart = self.grid.dx * np.abs(first.q - second.q).sum(axis=1)
         bound = distance_bound(self.problem.law, first, second)
         return [
@@ -251,7 +254,7 @@ class _Study:
         ]
 
     def to_zero(self, member: int, run: Path) -> list[Distance]:
-        """The distance from the critical slope, to which the flow is a contraction."""
+        """Return the distances from the neutral slope, to which the flow is a contraction."""
         norm = self.grid.dx * np.abs(run.q).sum(axis=1)
         return [
             Distance(self.case, "zero", member, float(norm[0]), float(t), float(d), float(norm[0]))
@@ -260,6 +263,7 @@ class _Study:
 
 
 def _times(k: Callable[[Any, Any], Any], part: float, wave: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """Return a coefficient times 1 + part * wave."""
     return lambda t, x: k(t, x) * (1.0 + part * wave(t, x))
 
 
@@ -278,7 +282,7 @@ def distance_bound(law: ErosionLaw, first: Run | Path, second: Run | Path) -> Ar
 
 
 def largest_distances(distances: Sequence[Distance], study: str) -> dict[int, tuple[float, float]]:
-    """Number of a pair -> its size, and its largest distance over the saved times."""
+    """Return number of a pair -> its size, and its largest distance over the saved times."""
     largest: dict[int, tuple[float, float]] = {}
     for d in distances:
         if d.study == study:
@@ -287,13 +291,13 @@ def largest_distances(distances: Sequence[Distance], study: str) -> dict[int, tu
 
 
 def observed_constant(distances: Sequence[Distance]) -> float:
-    """The least L with ‖q - q̃‖₁(t) <= e^{Lt} ‖q - q̃‖₁(0) for all of them [continous-dep-on-init-data]."""
+    """Return the smallest L with ‖q - q̃‖₁(t) <= e^{Lt} ‖q - q̃‖₁(0) for all distances [continous-dep-on-init-data]."""
     rates = (float(np.log(d.distance / d.size)) / d.time for d in distances if d.time > 0.0 and d.distance > 0.0)
     return max(rates, default=-np.inf)
 
 
 def summary(distances: Sequence[Distance]) -> tuple[list[str], str]:
-    """What was found, a sentence for each study; and what exceeds its bound, or ""."""
+    """Return the results, a sentence for each study, and a sentence on a violated bound, or ""."""
     studies = {
         study: [d for d in distances if d.study == study] for study in ("data", "zero", "coefficient", "refresh")
     }
@@ -310,9 +314,9 @@ def summary(distances: Sequence[Distance]) -> tuple[list[str], str]:
     }
     kinks = largest_distances(distances, "refresh kinks").values()
     order_of_kinks = -observed_order(*zip(*kinks, strict=True)) if kinks else np.nan
-    grows = "never grows" if share["zero"] <= 1.0 + ROUNDING else "GROWS"
+    grows = "never grows" if share["zero"] <= 1.0 + BOUND_EXCESS else "GROWS"
     sentences = [
-        f"data         {_growth(studies['data'], share['data'])}",
+        f"data         {_line_on_pairs(studies['data'], share['data'])}",
         f"zero         ‖q‖₁ {grows}, {pairs['zero']} slopes",
         f"coefficient  ‖q - q̃‖₁ is of order {order['coefficient']:.2f} in k - k̃, {pairs['coefficient']} pairs; at most "
         f"{share['coefficient']:.2g} of the bound",
@@ -323,14 +327,14 @@ def summary(distances: Sequence[Distance]) -> tuple[list[str], str]:
     ]
     worst = max(("data", "zero", "coefficient"), key=lambda study: share[study])
     failed = f"a distance of the study {worst!r} is {share[worst]:.4g} times its bound"
-    return sentences, failed if share[worst] > 1.0 + ROUNDING else ""
+    return sentences, failed if share[worst] > 1.0 + BOUND_EXCESS else ""
 
 
-def _growth(data: Sequence[Distance], share: float) -> str:
+def _line_on_pairs(data: Sequence[Distance], share: float) -> str:
     """Return a line on the distances of pairs of slopes; a prescribed coefficient bounds them by those at the start."""
     pairs = len({d.member for d in data})
-    if all(math.isclose(d.bound, d.size, rel_tol=ROUNDING) for d in data):
-        return f"‖q - q̃‖₁ {'never grows' if share <= 1.0 + ROUNDING else 'GROWS'}, {pairs} pairs"
+    if all(math.isclose(d.bound, d.size, rel_tol=BOUND_EXCESS) for d in data):
+        return f"‖q - q̃‖₁ {'never grows' if share <= 1.0 + BOUND_EXCESS else 'GROWS'}, {pairs} pairs"
     L = [observed_constant([d for d in data if (d.member - 1) // PAIRS == i]) for i in range(len(SIZES))]
     each = ", ".join(f"{value:.3g}" for value in L)
     return (

@@ -1,4 +1,4 @@
-"""Fractional steps: what it costs to keep the factor for a while (theory, §10)."""
+"""Study of fractional steps: the error of a frozen K (theory, §10)."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from hjprofile.solvers.run import Run
 from hjprofile.solvers.solve import solve_with
 from hjprofile.studies.accuracy import compare, observed_order
 
-TIMES = 6  # over which errors are taken, with both ends
+TIMES = 6  # number of times over which errors are measured, including both ends
 
 
 class Step(NamedTuple):
-    """What comes of one `refresh` Δt: ∫|Δq| dx and the distance of kinks, means over the saved times, and sup|Δu|.
+    """Errors of one `refresh` interval Δt: ∫|Δq| dx and the distance of kinks, means over the saved times, and sup|Δu|.
 
-    The distance of kinks is NaN where there are none that both runs see.
+    The distance of kinks is NaN if no kink exists in both runs.
     """
 
     refresh: float
@@ -34,7 +34,7 @@ class Step(NamedTuple):
 
 
 class Fractional(NamedTuple):
-    """A study: the steps from the longest to the shortest, and the observed orders of the three errors in Δt."""
+    """Results of the study: the steps from the longest to the shortest, and the observed orders of the errors in Δt."""
 
     steps: list[Step]
     order_q_l1: float
@@ -45,12 +45,12 @@ class Fractional(NamedTuple):
 def fractional_steps(
     problem: Problem, grid: Grid, method: str = "conservative", refresh: Sequence[float] | None = None
 ) -> Fractional:
-    """Compare S^Δt [eq1-Deltat] for several Δt with the same method and grid, with its factor updated in every step.
+    """Compare S^Δt [eq1-Deltat] for several Δt with the same method and grid, with its K updated in every step.
 
-    The solutions differ in the age of the factor and in their time steps, on which the errors of the scheme depend.
-    For Δt of several steps that is small compared with the error of the fractional step. By default Δt is a fifth of
-    the problem's end, and a half, a quarter and an eighth of that. The solutions are compared at TIMES even times.
-    Raises InputError if no time passes, and RunError if a run does not reach the end.
+    The solutions differ in the age of K and in their time steps, on which the errors of the scheme depend. This is
+    small compared with the error of the fractional step if Δt contains several steps. By default Δt is a fifth of the
+    end of the problem, and a half, a quarter and an eighth of that. The solutions are compared at TIMES even times.
+    Raise InputError if the end is 0, and RunError if a run does not reach the end.
     """
     instance("problem", problem, Problem)
     if not problem.end > 0.0:

@@ -1,4 +1,4 @@
-"""The parts of a result folder, each recomputed from the others."""
+"""Checks of the parts of a result folder, each recomputed from the others."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.run import Array, KinkRecord, Run
 
 EPS = float(np.finfo(float).eps)
-UNDERFLOW = float(np.log(np.finfo(float).tiny))  # of ln K: smaller K have no full precision, or are 0
-TABLE = 1e-9  # accuracy of a tabulated law in ln K and in speeds: measured 2e-11
+UNDERFLOW = float(np.log(np.finfo(float).tiny))  # smallest ln K with full precision
+TABLE = 1e-9  # accuracy of a tabulated law in ln K and in speeds; measured: 2e-11
 QUIET = ("bounds:", "saved-")  # comparisons that are printed only if they fail
 
 
 class Check(NamedTuple):
-    """One comparison: errors on each grid, the observed order, and the rule by which it passes.
+    """One comparison: errors on each grid, the observed order, and the criterion.
 
-    If it is not `resolved`, the grids are too coarse to decide: it passes, with a warning.
+    If it is not `resolved`, the grids are too coarse for a decision: it passes, with a warning.
     """
 
     name: str
@@ -32,7 +32,7 @@ class Check(NamedTuple):
     passes: bool
     rule: str
     resolved: bool = True
-    unit: str = "cells"  # of what `cells` are numbers
+    unit: str = "cells"  # unit of `cells`
 
     def line(self) -> str:
         """Return the line that is printed."""
@@ -66,12 +66,13 @@ def records(run: Run, problem: Problem, refresh: float | None, suffix: str) -> I
 
 
 def _off_grid(run: Run) -> bool:
+    """Return True if the method of a run does not use a grid."""
     method = METHODS.get(run.method)  # closed forms have none
     return method is not None and not method.on_grid
 
 
 def _by_midpoints(run: Run) -> bool:
-    """Whether ln K is the integral of f of the cell means."""
+    """Return True if ln K is the integral of f of the cell means."""
     method = METHODS.get(run.method)
     return method is not None and method.midpoint
 
@@ -87,6 +88,7 @@ def _most(what: str, suffix: str, run: Run, off: Array, allowed: Array | float, 
 
 
 def _times(run: Run, problem: Problem) -> tuple[Array, Array | float]:
+    """Return the deviations of the saved times, and the allowance."""
     if run.time.size != problem.times.size:
         return np.array([np.inf]), 0.0
     return np.abs(run.time - problem.times), 4.0 * EPS * problem.end
@@ -98,11 +100,11 @@ def _factor(run: Run, problem: Problem, refresh: float | None) -> tuple[Array, A
     ln_K = _log(run.K)
     if isinstance(problem.model, Prescribed):
         times = run.time
-        if refresh:  # frozen since the last multiple, which rounding can put just behind a saved time
+        if refresh:  # frozen since the last multiple, which rounding can delay beyond a saved time
             times = np.minimum(refresh * np.floor(run.time / refresh * (1.0 + 1e-9) + 1e-9), run.time)
         return np.abs(ln_K - _log(problem.model.coefficient.values(times[:, None], run.x))), 1e-12
     f = problem.law.f(run.q)
-    if refresh:  # K is that of the last refresh: at those times, the present one
+    if refresh:  # K is that of the last refresh: compared at refresh times only
         part = run.time / refresh
         fresh = np.abs(part - np.round(part)) <= 1e-9 * np.maximum(part, 1.0)
         ln_K, f = ln_K[fresh], f[fresh]
@@ -121,7 +123,7 @@ def _factor(run: Run, problem: Problem, refresh: float | None) -> tuple[Array, A
 
 
 def _log(K: Array) -> Array:
-    """ln K, and UNDERFLOW where K is smaller than it can be stored."""
+    """Return ln K, and UNDERFLOW if K is too small for a normal number."""
     return np.log(np.maximum(K, np.finfo(float).tiny))
 
 

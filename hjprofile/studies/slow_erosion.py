@@ -1,4 +1,4 @@
-"""How the model with a rolling layer tends to slow erosion as the layer gets thin (theory, §8)."""
+"""Study of the limit of a thin rolling layer, which is slow erosion (theory, §8)."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from hjprofile.solvers.solve import solve_with
 
 
 class Departure(NamedTuple):
-    """How far a slope below a layer with that supply flux is from the limit, on the same grid.
+    """Distance of a slope below a rolling layer with that supply flux from the limit, on the same grid.
 
     Attributes:
         supply_flux: ε; 0 for the limit itself.
-        slope_l1, height_sup: ∫|q - q of the limit| dx and sup|u - u of the limit|, the largest of the saved times.
-        steps: time steps.
+        slope_l1, height_sup: ∫|q - q_limit| dx and sup|u - u_limit|, the largest of the saved times.
+        steps: number of time steps.
     """
 
     supply_flux: float
@@ -34,9 +34,21 @@ class Departure(NamedTuple):
 
 
 def slow_erosion(problem: Problem, grid: Grid, supply_fluxes: Sequence[float], cfl: float = 0.9) -> list[Departure]:
-    """Solves [eq2] for each supply flux, and [eq1], all with the same flux on the same grid.
+    """Solve [eq2] for each supply flux, and [eq1], all with the same numerical flux on the same grid.
 
-    The limit itself comes first, with the supply flux 0. Raises RunError if a run stops early.
+    - `problem`: the problem without a rolling layer.
+    - `grid`: left end and number of cells.
+    - `supply_fluxes`: values of ε > 0, the thickness of the rolling layer at the crest of a neutral slope.
+    - `cfl`: the time step as a fraction of the largest one that the method admits.
+
+    Return a list of `Departure`: that of the limit, with the supply flux 0, then one for each supply flux. Raise
+    InputError for invalid input, and RunError if a run does not reach its end.
+
+    >>> import hjprofile as hj
+    >>> problem = hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0)
+    >>> study = hj.slow_erosion(problem, hj.Grid(left=-5.0, cells=200), [0.1, 0.01])
+    >>> [round(one.height_sup, 2) for one in study]
+    [0.0, 0.18, 0.02]
     """
     instance("problem", problem, Problem)
     (method,) = (m for m in METHODS.values() if Feature.LAYER in m.supports)

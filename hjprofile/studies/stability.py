@@ -1,7 +1,7 @@
-"""Where methods fail: each limit is met on purpose, and held against theory (§7).
+"""Scan of the stability limits of the methods, compared with theory (theory, §7).
 
-A trial takes steps of a stated CFL number Δt max(K f')/Δx, come what may: nothing is taken anew, nothing adapts. Its
-data carry a sawtooth far below everything else, so that what is unstable shows within the run.
+A trial uses steps of a stated CFL number Δt max(K f')/Δx, without repetition or adaptation. Its data contain a sawtooth
+of negligible amplitude, so that an instability develops within the run.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hjprofile.errors import InputError
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.ranges import instance
-from hjprofile.solvers.grids.bounds_monitor import HIGHER_ORDER, LOCAL, MONOTONE, BoundsMonitor, Promises
+from hjprofile.solvers.grids.bounds_monitor import HIGHER_ORDER, LOCAL, MONOTONE, BoundsMonitor, Guarantees
 from hjprofile.solvers.grids.conservation import FirstOrder, SecondOrder
 from hjprofile.solvers.grids.flux import Flux
 from hjprofile.solvers.grids.grid_law import GridLaw, grid_law
@@ -30,18 +30,18 @@ from hjprofile.solvers.run import Array, Breakdown, State
 from hjprofile.solvers.stop import ROBUST_METHOD
 
 CELLS = 400
-STEPS = 6000  # at most in a trial
-SAWTOOTH = 1e-8  # well above rounding, and below what any bound or picture can show
-OSCILLATION = 0.02  # of 1 + TV(q), beyond what the equation lets it grow
+STEPS = 6000  # largest number of steps in a trial
+SAWTOOTH = 1e-8  # amplitude: well above rounding, and below the resolution of any bound or plot
+OSCILLATION = 0.02  # growth of TV(q) beyond that of the equation, as a fraction of 1 + TV(q)
 CFL = (0.2, 0.4, 0.6, 0.8, 0.9, 1.0, 1.1, 1.2, 1.4, 1.6, 1.8, 2.0, 2.25, 2.5, 2.75, 3.0)
 VISCOSITY = (0.0, 0.25, 0.5, 0.75, 0.9, 0.95, 0.98, 1.0, 1.02, 1.05, 1.1, 1.2, 1.4, 1.6, 1.8, 2.0)  # of max K f'
 VISCOSITY_AT = (0.45, 0.7, 0.9)  # CFL numbers
-REFRESH = (1, 4, 16, 64, 256, 1024)  # steps that share a K
+REFRESH = (1, 4, 16, 64, 256, 1024)  # number of steps with the same K
 SMALLEST = (0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 1e-4)  # 1 + q in a hollow
 EXPONENTS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 600.0, 800.0)  # largest |ln K|
-CUTS = (-0.2, -0.1, 0.0, 0.1, 0.2, 0.4)  # of the support, cut off on the left
+CUTS = (-0.2, -0.1, 0.0, 0.1, 0.2, 0.4)  # fractions of the support that the grid omits on the left
 BISECTIONS = 6
-SAFE = 0.6  # CFL number at which no method is near its limit
+SAFE = 0.6  # CFL number below the limits of all methods
 HIGHEST_EXPONENT = float(np.log(np.finfo(float).max))
 
 HOLDS, LOSES, OSCILLATES, FAILS = "holds", "loses_bounds", "oscillates", "fails"
@@ -51,8 +51,8 @@ class Trial(NamedTuple):
     """One point of the scan.
 
     Attributes:
-        theory: the limit that theory draws for the parameter, NaN if there is none.
-        cfl: the CFL number at which another parameter was varied, NaN where that is the same for all.
+        theory: the theoretical limit of the parameter, NaN if there is none.
+        cfl: the CFL number at which another parameter was varied, NaN if that is the same for all.
     """
 
     case: str
@@ -67,7 +67,7 @@ class Trial(NamedTuple):
 
 @dataclass(frozen=True)
 class _Data:
-    """Cell means on a grid, and the time to go."""
+    """Cell means on a grid, and the duration of the trial."""
 
     problem: Problem
     grid: Grid
@@ -84,7 +84,7 @@ class _Data:
 
 
 class _Laboratory(FirstOrder):
-    """The plain schemes for q with what nobody should ask of them: any viscosity, stale K, edges without a limiter."""
+    """The plain schemes for q with unsafe options: any viscosity, an outdated K, reconstructions without a limiter."""
 
     def __init__(
         self, data: _Data, flux: str = ROBUST_METHOD, viscosity: float = 1.0, refresh: int = 1, edges: str = "monotone"
@@ -99,19 +99,20 @@ class _Laboratory(FirstOrder):
             self.stale = self.K
         self.taken += 1
         rate = partial(self._rate, bound=bound)
-        # with forward Euler steps all edges but the monotone ones are unstable
+        # with forward Euler steps all edges except the monotone ones are unstable
         q = self.q + dt * rate(self.q) if self.edges == "monotone" else ssp_rk2(self.q, rate, dt)
-        self.growth += dt * (float(self.K[0]) - 1.0)  # by the K that should have been used
+        self.toe_gain += dt * (float(self.K[0]) - 1.0)  # by the current K
         self.crest_lowering += self.grid.dx * float(np.sum(self.q) - np.sum(q))
         self.q = q
         return bound
 
     def _rate(self, q: Array, bound: float) -> Array:
+        """Return dq/dt with the chosen reconstruction."""
         if not np.min(q) > -1.0:
             raise Breakdown(q, self.K)
         K, dx, left, right = self.stale, self.grid.dx, q, np.append(q[1:], q[-1])
         if self.edges != "monotone":
-            K = np.exp(np.append(np.cumsum(dx * self.law.f(q)[::-1])[::-1], 0.0))  # of the stage
+            K = np.exp(np.append(np.cumsum(dx * self.law.f(q)[::-1])[::-1], 0.0))  # K of the stage
             back, ahead = np.diff(q, prepend=q[0]), np.diff(q, append=q[-1])
             if self.edges == "central":
                 left = 0.5 * (left + right)
@@ -128,10 +129,10 @@ class _Laboratory(FirstOrder):
 
 
 def stability(case: str, problem: Problem, grid: Grid, progress: Callable[[float], None] | None = None) -> list[Trial]:
-    """Scans CFL number, viscosity, age of K, reconstruction, smallness of 1 + q, size of ∫f and truncation.
+    """Scan CFL number, viscosity, age of K, reconstruction, smallness of 1 + q, size of ∫f and truncation.
 
-    On CELLS cells. Raises InputError where something flows in, no time passes, the slope is critical all over, or a
-    coefficient is prescribed.
+    The grid has CELLS cells. Raise InputError if a flux enters, if the end is 0, if the slope is neutral everywhere, or
+    if a coefficient is prescribed.
     """
     instance("problem", problem, Problem)
     instance("grid", grid, Grid)
@@ -157,15 +158,15 @@ Row = Limits | tuple[str, str, float | str, str, str, float, float]  # a Trial w
 
 
 def _cfl(data: _Data) -> Iterator[Row]:
-    """Every method over CFL numbers, and bisection for the limit of those that are monotone."""
-    for method, promises in _methods():
+    """Scan CFL numbers for every method, with bisection for the limit of the monotone ones."""
+    for method, guarantees in _methods():
 
         def attempt(number: float) -> tuple[str, str]:
-            return _attempt(_scheme(method, data), data, number, promises, _judged_by(method))  # noqa: B023
+            return _attempt(_scheme(method, data), data, number, guarantees, _judged_by(method))  # noqa: B023
 
         tried = {number: attempt(number) for number in CFL}
         broken = [n for n in CFL if tried[n][0] != HOLDS]
-        if promises is not HIGHER_ORDER and broken:
+        if guarantees is not HIGHER_ORDER and broken:
             low = max([n for n in CFL if n < broken[0]], default=0.0)
             high = broken[0]
             for _ in range(BISECTIONS):
@@ -177,7 +178,7 @@ def _cfl(data: _Data) -> Iterator[Row]:
 
 
 def _viscosity(data: _Data) -> Iterator[Row]:
-    """Lax-Friedrichs over viscosity and CFL number: monotone between α = max K f' and α = Δx/Δt."""
+    """Scan viscosity and CFL number of Lax-Friedrichs: monotone between α = max K f' and α = Δx/Δt."""
     for number in VISCOSITY_AT:
         for share in VISCOSITY:
             scheme = _Laboratory(data, "lax-friedrichs", viscosity=share)
@@ -186,57 +187,58 @@ def _viscosity(data: _Data) -> Iterator[Row]:
 
 
 def _refresh(data: _Data) -> Iterator[Row]:
-    """Stale K moves kinks at a wrong speed: the scheme stays monotone, and the eroded volume tells."""
+    """Scan the age of K: the scheme stays monotone, kinks move at a wrong speed, and the eroded volume is wrong."""
     for steps in REFRESH:
         scheme = _Laboratory(data, refresh=steps)
         before = scheme.volume()
         outcome, detail = _attempt(scheme, data, SAFE, MONOTONE)
-        off = abs(before - scheme.volume() - scheme.growth)
+        off = abs(before - scheme.volume() - scheme.toe_gain)
         yield ROBUST_METHOD, "refresh", float(steps), outcome, f"{detail}; volume off by {off:.3g}", np.nan
 
 
 def _reconstruction(data: _Data) -> Iterator[Row]:
+    """Scan the reconstructions."""
     for edges in ("monotone", "limited", "unlimited", "central"):
         scheme = _Laboratory(data, edges=edges)
-        promises = MONOTONE if edges == "monotone" else HIGHER_ORDER
-        yield ROBUST_METHOD, "reconstruction", edges, *_attempt(scheme, data, 0.5 * SAFE, promises), np.nan
+        guarantees = MONOTONE if edges == "monotone" else HIGHER_ORDER
+        yield ROBUST_METHOD, "reconstruction", edges, *_attempt(scheme, data, 0.5 * SAFE, guarantees), np.nan
 
 
 def _smallness(data: _Data) -> Iterator[Row]:
-    """A hollow a twentieth of the domain wide, for each method."""
+    """Scan the depth of a hollow, a twentieth of the domain wide, for each method."""
     n = data.q.size
-    for method, promises in _methods():
+    for method, guarantees in _methods():
         for p in SMALLEST:
             q = data.q.copy()
             q[n // 2 : n // 2 + n // 20] = p - 1.0
             hollow = _Data(data.problem, data.grid, q, data.end)
-            # MUSCL-Hancock takes K half a step ahead by 1 + ½ f dx, which must stay positive
+            # MUSCL-Hancock advances K by half a cell by 1 + ½ f dx, which must stay positive
             limit = np.nan
             if method.name == "conservative":
                 tries = np.geomspace(1e-6, 1.0, 400)
                 limit = float(tries[np.searchsorted(data.problem.law.f(tries - 1.0) * data.grid.dx, -2.0)])
-            yield method.name, "least 1 + q", p, *_attempt(_scheme(method, hollow), hollow, SAFE, promises), limit
+            yield method.name, "least 1 + q", p, *_attempt(_scheme(method, hollow), hollow, SAFE, guarantees), limit
 
 
 def _exponents(data: _Data) -> Iterator[Row]:
-    """The same slopes on a longer grid: ln K grows with it."""
+    """Scan the length of the grid with the same slopes, which is proportional to ln K."""
     exponent = np.abs(np.cumsum(data.law.f(data.q)[::-1])).max() * data.grid.dx
-    for method, promises in _methods():
+    for method, guarantees in _methods():
         for most in EXPONENTS:
             stretch = float(most / exponent)
             grid = Grid(stretch * data.grid.left, CELLS)
-            # until the first kink has crossed a few cells: where K is large that is soon
+            # until the first kink has crossed a few cells, which is a short time if K is large
             longer = _Data(data.problem, grid, data.q, 20.0 * stretch * data.grid.dx * float(np.exp(-min(most, 700.0))))
-            outcome, detail = _attempt(_scheme(method, longer), longer, SAFE, promises)
+            outcome, detail = _attempt(_scheme(method, longer), longer, SAFE, guarantees)
             yield method.name, "largest |ln K|", most, outcome, detail, HIGHEST_EXPONENT
 
 
 def _truncation(data: _Data) -> Iterator[Row]:
-    """Left ends inside the support of q: what lies right of them is compared with a run on the whole grid."""
+    """Scan left ends inside the support of q: the result right of them is compared with a run on the whole grid."""
     support = np.flatnonzero(np.abs(data.q) > 1e-9)
     start, width = int(support[0]), int(support[-1] - support[0]) + 1
     whole = _Laboratory(data)
-    same = partial(_attempt, number=SAFE, promises=MONOTONE, saw=0.0, steps=60, speed=2.0 * whole.evaluate())  # same Δt
+    same = partial(_attempt, number=SAFE, guarantees=MONOTONE, saw=0.0, steps=60, speed=2.0 * whole.evaluate())
     same(whole, data)
     for cut in CUTS:
         first = max(start + round(cut * width), 0)
@@ -252,7 +254,7 @@ def _truncation(data: _Data) -> Iterator[Row]:
 
 
 def _scheme(method: Method, data: _Data) -> Scheme:
-    """The scheme of a method for cell means that belong to no profile."""
+    """Return the scheme of a method for cell means that belong to no profile."""
     if method.flux:
         return HamiltonJacobi(data.law, data.grid, data.W, method.flux)
     if method.form is Form.SLOPE:
@@ -260,29 +262,29 @@ def _scheme(method: Method, data: _Data) -> Scheme:
     return HighOrderHamiltonJacobi(data.law, data.grid, data.W, method.name, 0.0)
 
 
-def _methods() -> list[tuple[Method, Promises]]:
-    """Every method on a grid that has its own scheme, and the bounds that are watched."""
+def _methods() -> list[tuple[Method, Guarantees]]:
+    """Return every method on a grid with its own scheme, and its monitored bounds."""
     own = [method for method in METHODS.values() if method.on_grid and not method.carries]
     assert all(method.setup for method in own)
-    # a viscosity that changes from step to step keeps no frozen step's promises here
-    return [(m, LOCAL if m.flux and m.flux.viscous else m.setup.promises) for m in own]  # type: ignore[union-attr]
+    # with a viscosity that changes from step to step the bounds of frozen steps do not hold here
+    return [(m, LOCAL if m.flux and m.flux.viscous else m.setup.guarantees) for m in own]  # type: ignore[union-attr]
 
 
 def _judged_by(method: Method) -> Flux | None:
-    """The flux of frozen steps; a local viscosity keeps no order of states."""
-    promises = method.setup.promises if method.setup else {}
-    return method.flux if promises.get("kruzkov") else None
+    """Return the flux of frozen steps, or None: with a local viscosity a step does not preserve the order of states."""
+    guarantees = method.setup.guarantees if method.setup else {}
+    return method.flux if guarantees.get("kruzkov") else None
 
 
 @np.errstate(all="ignore")
 def _attempt(
-    scheme: Scheme, data: _Data, number: float, promises: Promises, flux: Flux | None = None,
+    scheme: Scheme, data: _Data, number: float, guarantees: Guarantees, flux: Flux | None = None,
     viscosity: float = 1.0, saw: float = SAWTOOTH, steps: int | None = None, speed: float = 0.0,
 ) -> tuple[str, str]:  # fmt: skip
-    """Outcome and detail of steps of one CFL number; `speed` is used in place of a smaller max K f'."""
+    """Return outcome and detail of steps of one CFL number; `speed` replaces a smaller max K f'."""
     grid, t = data.grid, 0.0
     _roughen(scheme, saw)
-    bounds = BoundsMonitor(data.problem, grid, scheme.W, promises, flux if viscosity >= 1.0 else None)
+    bounds = BoundsMonitor(data.problem, grid, scheme.W, guarantees, flux if viscosity >= 1.0 else None)
     taken, oscillates = 0, ""
     try:
         while True:
@@ -292,7 +294,7 @@ def _attempt(
             bound = viscosity * fastest
             dt = number * grid.dx / fastest
             bounds.observe(
-                State(t, taken, first, q, scheme.law.kernel, fastest, bound, dt, scheme.growth, scheme.crest_lowering,
+                State(t, taken, first, q, scheme.law.kernel, fastest, bound, dt, scheme.toe_gain, scheme.crest_lowering,
                       scheme.volume)
             )  # fmt: skip
             grown = float(np.abs(np.diff(q)).sum()) - bounds.variation - bounds.growth_allowed
@@ -320,22 +322,22 @@ def _attempt(
 
 
 def _roughen(scheme: Scheme, saw: float) -> None:
-    """Adds the sawtooth to the data."""
+    """Add the sawtooth to the data."""
     n = scheme.q.size
     teeth = saw * np.where(np.arange(n) % 2, 1.0, -1.0)
     teeth[:2] = teeth[-2:] = 0.0
     for name in ("q", "state", "W"):
-        if name in scheme.memory:
+        if name in scheme.checkpoint_fields:
             state = getattr(scheme, name)
             dx = float(scheme.grid.dx)  # type: ignore[attr-defined]
             state += teeth if state.size == n else np.append(0.0, np.cumsum(teeth) * dx)
             break
-    if "active" in scheme.memory:
+    if "active" in scheme.checkpoint_fields:
         scheme.active = 0, getattr(scheme, name).size - 1  # type: ignore[attr-defined]
 
 
 def measured_limit(points: Sequence[Trial], method: str) -> tuple[float, float]:
-    """Between which two CFL numbers a method stops to hold; infinite where it never does."""
+    """Return the last CFL number at which a method satisfies its bounds, and the first at which it does not, or inf."""
     mine = sorted((float(p.value), p.outcome) for p in points if p.method == method and p.parameter == "cfl")
     broken = [value for value, outcome in mine if outcome != HOLDS]
     if not broken:

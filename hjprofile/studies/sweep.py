@@ -1,4 +1,4 @@
-"""Many runs of one case: the members of a product of values, each by itself, over any executor."""
+"""Sweeps: runs of one case for a product of values, each independent, on any executor."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from hjprofile.problem.identity import digest_of
 from hjprofile.solvers.run import Array, Run
 from hjprofile.solvers.solve import check_case, solve_case
 
-MOST = 100_000  # members; each is built before the first is run
-_UNREAD = ("title", "output", "expect")  # what of a case does not change its run
+MOST_MEMBERS = 100_000  # largest number of members; each is built before the first is run
+_UNREAD = ("title", "output", "expect")  # sections of a case that do not change its run
 
-QUANTITIES = {  # name -> what it is
-    "end": "last saved time, mass of grains poured in",
+QUANTITIES = {  # name -> description
+    "end": "last saved time, supplied mass of grains",
     "cells": "cells of the grid",
     "steps": "time steps",
     "eroded_volume": "integral of u(0,x) - u(end,x)",
@@ -33,29 +33,29 @@ QUANTITIES = {  # name -> what it is
     "crest_lowering": "u(0,0) - u(end,0)",
     "largest_lowering": "largest u(0,x) - u(end,x)",
     "largest_rise": "largest u(end,x) - u(0,x)",
-    "q_min": "least excess slope at the end, mean over a cell",
+    "q_min": "smallest excess slope at the end, mean over a cell",
     "q_max": "largest excess slope at the end, mean over a cell",
-    "K_foot": "nonlocal factor at the left end at the end: flux of grains relative to the flux poured in",
+    "K_foot": "grain flux at the left end at the end, relative to the supply",
     "kinks_at_end": "kinks at the end",
     "births": "births of kinks",
     "merges": "merges of kinks",
-    "exits": "exits of kinks at the top",
-    "kink_x": "where the strongest kink is at the end",
+    "exits": "exits of kinks at the crest",
+    "kink_x": "position of the strongest kink at the end",
     "kink_jump": "jump of q over the strongest kink at the end",
-    "error_estimate": "of u over all saved times, where the method knows one",
+    "error_estimate": "of u over all saved times, if the method provides one",
 }
 
 
 class Member(NamedTuple):
-    """One run of a sweep, as it is sent to whoever runs it: plain values only.
+    """One run of a sweep, as it is sent to a worker: plain values only.
 
     Attributes:
-        values: one for each key that is varied.
+        values: one for each varied key.
         content: the tables of the case, with these values in them.
         name, source, base: of the case file: its name, its path, the folder to which paths in it are relative.
-        grid: of the case; None if it was refused.
+        grid: of the case; None if it was rejected.
         identity: a hash that distinguishes it from every other run.
-        refused: why there is no such case, or "".
+        refused: the reason for a rejection, or "".
     """
 
     values: tuple[Any, ...]
@@ -69,13 +69,13 @@ class Member(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What came of a member.
+    """The result of a member.
 
     Attributes:
-        status: "done", or a sentence that says why not; then there are no numbers.
-        method: that solved it.
-        quantities: by the names of their columns in sweep.csv; NaN where there is none.
-        broken_bounds: names of the bounds that did not hold, with a space between them.
+        status: "done", or a sentence with the reason of a failure, without quantities.
+        method: the method that solved it.
+        quantities: by the names of their columns in sweep.csv; NaN if there is none.
+        broken_bounds: names of the violated bounds, separated by spaces.
         wall_seconds: of the time stepping alone.
         u: height at the last saved time, shape (cells + 1,).
     """
@@ -93,10 +93,10 @@ class Outcome(NamedTuple):
 
 
 def members(case: str | Path, vary: Mapping[str, list[Any]]) -> list[Member]:
-    """A member for each choice of values, the last key varying fastest; each is built and checked.
+    """Return a member for each choice of values, the last key varying fastest; each is built and checked.
 
-    Raises InputError for a key that cannot be varied, and for a value that no member can use. A member whose values
-    do not go together is returned with the reason in `refused`.
+    Raise InputError for a key that cannot be varied, and for a value that no member can use. A member with incompatible
+    values is returned with the reason in `refused`.
     """
     path = find_case(case)
     content = read_case(path)
@@ -113,8 +113,8 @@ def members(case: str | Path, vary: Mapping[str, list[Any]]) -> list[Member]:
         if not values:
             raise InputError(f"{key} needs one value or more")
     count = math.prod(map(len, vary.values()))
-    if count > MOST:
-        raise InputError(f"the values make {count} members; a sweep has at most {MOST}")
+    if count > MOST_MEMBERS:
+        raise InputError(f"the values make {count} members; a sweep has at most {MOST_MEMBERS}")
     made: list[Member] = []
     usable, refused = [set[int]() for _ in vary], [dict[int, str]() for _ in vary]
     for places in product(*(range(len(values)) for values in vary.values())):
@@ -135,7 +135,7 @@ def members(case: str | Path, vary: Mapping[str, list[Any]]) -> list[Member]:
 
 
 def text_of(value: Any) -> str:
-    """A value as a table shows it: a string as it is, a list as TOML writes it, a number as short as it can be."""
+    """Return a value as shown in a table: a string unchanged, a list as in TOML, a number in its shortest form."""
     if isinstance(value, str):
         return value
     number = isinstance(value, float) and value.is_integer() and abs(value) < 1e15
@@ -143,6 +143,7 @@ def text_of(value: Any) -> str:
 
 
 def _member(path: Path, content: Mapping[str, Any], values: Mapping[str, Any]) -> Member:
+    """Return the member with these values, with the reason if it is rejected."""
     tables = {name: dict(table) if isinstance(table, dict) else table for name, table in content.items()}
     for key, value in values.items():
         section, name = key.split(".")
@@ -157,10 +158,10 @@ def _member(path: Path, content: Mapping[str, Any], values: Mapping[str, Any]) -
 
 
 def run_member(member: Member) -> Outcome:
-    """Solves one member by its case's own method. Whatever goes wrong is its status: others go on."""
+    """Solve one member by its case's own method. Any failure becomes its status, so that others continue."""
     try:
         case = parse_case(member.content, member.name, member.source, member.base)
-        if digest_of(case) != member.identity:  # its results would be taken for those of another run
+        if digest_of(case) != member.identity:  # its results would be attributed to another run
             return Outcome(
                 f"{case.source}: a file that the case names, or the package itself, has changed since the sweep "
                 "began; sweep again"
@@ -170,7 +171,7 @@ def run_member(member: Member) -> Outcome:
         return Outcome("the memory of this machine is not sufficient; use fewer workers, cells or snapshots")
     except (InputError, RunError) as error:
         return Outcome(str(error))
-    except Exception as error:  # a user's law may raise anything
+    except Exception as error:  # a user's law may raise any exception
         return Outcome(f"{type(error).__name__}: {error}")
     if not run.done:
         return Outcome(run.status, run.method)
@@ -179,6 +180,7 @@ def run_member(member: Member) -> Outcome:
 
 
 def _quantities(case: Case, run: Run) -> dict[str, float]:
+    """Return the quantities of a run."""
     with np.errstate(all="ignore"):  # far from a narrow bump
         lowered = run.x + case.problem.profile.W(run.x, case.problem.law) - run.u[-1]
     left = run.kinks_at(-1)
@@ -209,10 +211,10 @@ def _quantities(case: Case, run: Run) -> dict[str, float]:
 
 
 def run_members(todo: Mapping[int, Member], executor: Executor | None = None) -> Iterator[tuple[int, Outcome]]:
-    """Runs members over an executor, or one after another without one; yields each with its number when it is done.
+    """Run members on an executor, or sequentially without one; yield each with its number when it is done.
 
-    Any executor of the standard protocol will do, with workers on this machine or on others. Raises RunError if its
-    workers are lost. Members that have not begun are cancelled when whoever asks stops asking.
+    Any executor of the standard protocol is allowed, with workers on this machine or on others. Raise RunError if its
+    workers are lost. Members that have not begun are cancelled if the iteration ends early.
     """
     if executor is None:
         for number, member in todo.items():
@@ -227,7 +229,7 @@ def run_members(todo: Mapping[int, Member], executor: Executor | None = None) ->
                 outcome = future.result()
             except BrokenExecutor:
                 raise
-            except Exception as error:  # the member was lost on its way there or back
+            except Exception as error:  # the member or its result was lost in transfer
                 outcome = Outcome(f"{type(error).__name__}: {error}")
             yield futures.pop(future), outcome
     except BrokenExecutor:

@@ -1,7 +1,7 @@
-"""What a run was between its saved times: where its kinks were, what q was there, which way characteristics came.
+"""Reconstruction of a run between its saved times: positions of kinks, q, and backward characteristics.
 
-Characteristics are followed backwards, dx/dt = K f'(q). Shocks swallow them forwards only: each point of the (x, t)
-plane has one that reaches it, and that one has met no kink on its way.
+Characteristics are traced backwards, dx/dt = K f'(q). Shocks absorb them only forwards in time: exactly one
+characteristic reaches each point of the (x, t) plane, and it has met no kink before.
 """
 
 from __future__ import annotations
@@ -15,15 +15,16 @@ from hjprofile.problem.case import law_from
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.solvers.run import Array, Run
 
-HALVINGS = 40  # of the stretch on which a characteristic was one saved time ago: to rounding
+HALVINGS = 40  # bisections of the interval that contains a characteristic at the previous saved time: to rounding
 
 
 class KinkPath(NamedTuple):
-    """A kink's way, and that of the vertical step that it may become.
+    """The path of a kink, and of the vertical step that it may become.
 
-    time, x: at the saved times and the events, increasing in time, both of shape (points,).
-    into: the kink that it merged into, or None.
-    leaves: whether it went out at the top, where it then stays.
+    Attributes:
+        time, x: at the saved times and the events, increasing in time, both of shape (points,).
+        into: the kink that it merged into, or None.
+        leaves: True if it left at the crest, where it then stays.
     """
 
     time: Array
@@ -33,7 +34,7 @@ class KinkPath(NamedTuple):
 
 
 def kink_paths(run: Run) -> dict[int, KinkPath]:
-    """Number -> path of every kink and vertical step that was there at a saved time."""
+    """Return number -> path of every kink and vertical step that exists at a saved time."""
     points: dict[int, list[tuple[float, float]]] = {}
     for k in run.kinks:
         points.setdefault(k.kink, []).append((k.time, k.x))
@@ -54,8 +55,8 @@ def kink_paths(run: Run) -> dict[int, KinkPath]:
 
 
 def place(paths: Mapping[int, KinkPath], number: int | None, t: float) -> float:
-    """Where a kink is at time t, or the one that it has merged into; NaN before it was seen and when it was lost."""
-    for _ in paths:  # links of a chain of mergers at most
+    """Return the position at time t of a kink, or of the one that it has merged into; NaN before and after its path."""
+    for _ in paths:  # at most as many links as paths
         if number is None or number not in paths or t < paths[number].time[0]:
             break
         path = paths[number]
@@ -68,23 +69,23 @@ def place(paths: Mapping[int, KinkPath], number: int | None, t: float) -> float:
 
 
 def traceable_law(run: Run) -> ErosionLaw | None:
-    """The law of a run whose K and q say how its characteristics move, else None.
+    """Return the law of a run whose K and q determine its characteristics, else None.
 
-    Below a rolling layer they do not: waves of the layer move too. Nor is a law read that is a Python file, which is
-    not with the result, and running which would run its author's code.
+    Below a rolling layer they do not, because waves of the layer move too. A law in a Python file is not read either:
+    the file is not part of the result, and reading it would run the code of its author.
     """
     table = run.case.get("erosion", {})
     return None if "layer" in run.case or table.get("law") == "python" else law_from(table)
 
 
 def trace_back(run: Run, law: ErosionLaw, ends: Sequence[tuple[int, float]]) -> Array:
-    """Characteristics that are at x at the saved time number i, for each (i, x) of `ends`, followed back to the first.
+    """Trace the characteristics at (i, x) of `ends`, with i the index of a saved time, back to the first saved time.
 
-    Returns their places at the saved times, shape (times, ends), NaN after time i and, of those that came from left of
-    the grid, before the first place there. A step from one saved time to the one before is the trapezoidal rule,
-    x(t₁) - x(t₀) = ½ (t₁ - t₀) (λ₀(x(t₀)) + λ₁(x(t₁))) with λ = K f'(q), solved between the kinks that surround it:
-    second order in the time between saved times, and exact where λ does not change along it, as in a fan at a constant
-    K; first order in Δx within a few cells of a kink.
+    Return their positions at the saved times, shape (times, ends). They are NaN after time i and, for those from the
+    left of the grid, before the first position on it. A step from one saved time to the one before is the trapezoidal
+    rule, x(t₁) - x(t₀) = ½ (t₁ - t₀) (λ₀(x(t₀)) + λ₁(x(t₁))) with λ = K f'(q), solved between the adjacent kinks. It is
+    second order in the time between saved times, and exact if λ is constant along it, as in a fan at a constant K. It
+    is first order in Δx within a few cells of a kink.
     """
     K = 0.5 * (run.K[:, 1:] + run.K[:, :-1])
     speed = K * law.derivative(run.q)
@@ -99,7 +100,7 @@ def trace_back(run: Run, law: ErosionLaw, ends: Sequence[tuple[int, float]]) -> 
 
 
 def _one_back(run: Run, paths: Mapping[int, KinkPath], speed: Array, i: int, x: Array) -> Array:
-    """Where those at x at the saved time number i were one saved time before."""
+    """Return the positions, one saved time before, of the characteristics at x at the saved time with index i."""
     half = 0.5 * float(run.time[i] - run.time[i - 1])
     to = x - half * np.interp(x, run.x_cell, speed[i])
     low, high = to - half * float(speed[i - 1].max()), to.copy()
@@ -116,16 +117,17 @@ def _one_back(run: Run, paths: Mapping[int, KinkPath], speed: Array, i: int, x: 
 
 
 def _barriers(paths: Mapping[int, KinkPath], before: float, after: float) -> list[tuple[float, float]]:
-    """The places of every kink that is there at the first of two times, or what it is part of at the second."""
+    """Return the positions of every kink that exists at the first of two times, and at the second, after merges."""
     both = [(place(paths, n, before), place(paths, n, after)) for n in paths]
     return sorted(pair for pair in both if not np.isnan(pair).any())
 
 
 def slope_between(run: Run, times: Array, x: Array) -> Array:
-    """q at `times` (increasing; before and after the saved ones as at these) and `x` (increasing), shape (times, x).
+    """Return q at `times` (increasing; constant beyond the saved ones) and `x` (increasing), shape (times, x).
 
-    Linear between saved times and cells, along lines that move with the kinks, so that these stay sharp; what lies
-    between kinks that merge or leave keeps the q that it had, and a kink that is born is blurred until the next time.
+    The interpolation is linear between saved times and cells, along lines that move with the kinks, which stay sharp.
+    In intervals between kinks that merge or leave q is that of the earlier time. A new kink is blurred until the next
+    time.
     """
     paths, narrow = kink_paths(run), 8.0 * float(run.x[1] - run.x[0])
     times, q = np.clip(times, run.time[0], run.time[-1]), np.empty((times.size, x.size))
@@ -138,19 +140,19 @@ def slope_between(run: Run, times: Array, x: Array) -> Array:
         numbers = [n for n in paths if not np.isnan(place(paths, n, first) + place(paths, n, second))]
         numbers.sort(key=lambda n: place(paths, n, first))
         at_first, at_second = (_knots(paths, numbers, t, ends) for t in (first, second))
-        kept = np.diff(at_second) > np.minimum(narrow, 0.5 * np.diff(at_first))
+        survives = np.diff(at_second) > np.minimum(narrow, 0.5 * np.diff(at_first))
         for row in np.flatnonzero(index == i):
             part = (times[row] - first) / (second - first) if j > i else 0.0
             knots = _knots(paths, numbers, float(times[row]), ends)
             before = np.interp(np.interp(x, knots, at_first), run.x_cell, run.q[i])
             after = np.interp(np.interp(x, knots, at_second), run.x_cell, run.q[j])
-            weight = kept * part
+            weight = survives * part
             weight = weight[np.clip(np.searchsorted(knots, x) - 1, 0, weight.size - 1)]
             q[row] = (1.0 - weight) * before + weight * after
     return q
 
 
 def _knots(paths: Mapping[int, KinkPath], numbers: Sequence[int], t: float, ends: tuple[float, float]) -> Array:
-    """The places of these kinks at time t between the ends of the grid, strictly increasing."""
+    """Return the positions of these kinks at time t between the ends of the grid, strictly increasing."""
     knots = np.maximum.accumulate([ends[0], *(min(place(paths, n, t), ends[1]) for n in numbers), ends[1]])
     return knots + 1e-12 * (ends[1] - ends[0]) * np.arange(knots.size)

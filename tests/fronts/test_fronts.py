@@ -12,7 +12,7 @@ import hjprofile as hj
 from hjprofile.problem.case_files import shipped_cases
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink
 from hjprofile.solvers.front_tracking import begin
-from hjprofile.solvers.fronts.front_data import FAN, cut_into_fronts
+from hjprofile.solvers.fronts.front_data import FAN_FRONT, cut_into_fronts
 from hjprofile.solvers.fronts.front_tracker import SUBLINEAR, FrontTracker
 from hjprofile.solvers.fronts.kernels.exact_fronts import narrowed
 from hjprofile.solvers.invariant import law_table
@@ -221,7 +221,7 @@ def test_fronts_stay_in_order_and_keep_the_invariant():
 
 
 def test_a_fan_across_the_critical_slope_does_not_run_away():
-    """One front from q > 0 to q < 0 would drive its right side to q = -1: it crosses no more than FAN in ln R."""
+    """One front from q > 0 to q < 0 would drive its right side to q = -1: it crosses no more than FAN_FRONT in ln R."""
     profile = hj.steps([-4.366, -4.071, -3.137, -2.489], [4.81, -0.79, 4.64])
     problem = hj.Problem(hj.power(3.0), profile, end=0.5, snapshots=4)
     for n in (10, 20, 40):  # cut as coarsely as so few fronts suggest, 10 stop and 20 fall to q = -0.877
@@ -330,7 +330,7 @@ def test_no_front_falls_steeply():
         data, table = cut_into_fronts(problem, -10.5, 300, SUBLINEAR)
         tracker = FrontTracker(data, table, exact=False)
         left, right, _, _ = tracker._sweep()
-        assert np.max(np.log(left / right)) <= 1.2 * FAN  # the mean of a piece is not its end
+        assert np.max(np.log(left / right)) <= 1.2 * FAN_FRONT  # the mean of a piece is not its end
         W, _ = tracker.read(data.sample.x)
         assert np.abs(W - data.sample.W + data.sample.W[0]).max() <= 4.0 * data.area + 1e-9
 

@@ -92,7 +92,7 @@ def lost_at_the_top(scheme):
 
 
 def lost_at_the_foot(scheme):
-    scheme.growth += 1e-6
+    scheme.toe_gain += 1e-6
 
 
 def spike(scheme):
@@ -154,7 +154,7 @@ def test_each_monitor_fires(name, monkeypatch):
 def test_what_a_method_does_not_promise_is_not_watched():
     problem = hj.Problem(hj.rational(), steps([-3.0, -2.0], [0.5]), end=0.3, snapshots=2)
     everything = set(hj.solve_hj(problem, hj.Grid(-4.0, 100), "godunov").bounds)
-    assert everything == {name for name, kept in METHODS["godunov"].setup.promises.items() if kept}
+    assert everything == {name for name, kept in METHODS["godunov"].setup.guarantees.items() if kept}
     local = set(hj.solve_hj(problem, hj.Grid(-4.0, 100), "local-lax-friedrichs").bounds)
     assert everything - local == {"flux_maximum", "flux_variation", "kruzkov"}
     inflow = hj.Problem(hj.rational(), hj.steady(0.4), end=0.5)
@@ -174,7 +174,7 @@ def test_a_frozen_step_allows_for_K_of_the_next_node():
     monitor.observe(
         State(
             t=0.1, steps=BoundsMonitor.FROZEN_STEPS, first=0, q=q, law=Rational(), speed=4.0, bound=4.0,
-            dt=grid.dx / 4.0, growth=0.0, crest_lowering=0.0, volume=lambda: 0.0, K=K,
+            dt=grid.dx / 4.0, toe_gain=0.0, crest_lowering=0.0, volume=lambda: 0.0, K=K,
         )
     )  # fmt: skip
     assert monitor.bounds["flux_maximum"].worst_margin == 1.0

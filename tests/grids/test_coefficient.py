@@ -217,7 +217,7 @@ def test_a_flux_that_grows_is_told(monkeypatch):
     advance = hj_form.HamiltonJacobi.advance
 
     def swelling(scheme, dt, steps, bound):
-        scheme.factor.held = scheme.factor.held * (1.0 + 0.3 * steps * dt)
+        scheme.factor.frozen_K = scheme.factor.frozen_K * (1.0 + 0.3 * steps * dt)
         return advance(scheme, dt, steps, bound)
 
     monkeypatch.setattr(hj_form.HamiltonJacobi, "advance", swelling)

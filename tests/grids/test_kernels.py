@@ -33,7 +33,7 @@ def factors(grid, levels, seed):
     walk = np.cumsum(rng.uniform(-0.04, 0.04, (levels, grid.nodes.size)), axis=1)
     k = np.exp(np.clip(walk, -1.0, 1.0))
     steady, varying = Factor(grid), Factor(grid)
-    steady.held = k[0]
+    steady.frozen_K = k[0]
     varying.given = lambda after=0.0, nodes=None: k[round(float(after) * 1e9) % levels][None]
     return {
         "nonlocal": (Factor(grid), NONLOCAL),
@@ -72,7 +72,7 @@ def test_a_sweep_is_as_many_single_steps(data, law, flux, factor, levels, inflow
     # the plain scheme looks at the left end, too
     assert met <= speed * (1.0 + 1e-6)
     assert met == pytest.approx(speed, rel=1e-6) or factor != "nonlocal"
-    assert grown == pytest.approx(plain.growth, rel=1e-11, abs=1e-14)
+    assert grown == pytest.approx(plain.toe_gain, rel=1e-11, abs=1e-14)
 
 
 @settings(max_examples=60, deadline=None)
@@ -208,7 +208,7 @@ class Rising:
         self.t, self.taken, self.redone = 0.0, [], 0
         self.W, self.q, self.K = np.zeros(1001), np.zeros(1000), np.ones(1001)
         self.law, self.factor = grid_law(hj.rational(), self.q), Factor(hj.Grid(-1.0, 1000))
-        self.growth = self.crest_lowering = 0.0
+        self.toe_gain = self.crest_lowering = 0.0
 
     def means(self):
         return 0, self.q
@@ -228,7 +228,7 @@ class Rising:
         self.taken.append((dt, steps, met))
         return met
 
-    def restore(self):
+    def roll_back(self):
         self.t, self.redone = self.before, self.redone + 1
         self.taken.pop()
 

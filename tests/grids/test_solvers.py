@@ -276,7 +276,7 @@ def test_a_slope_below_minus_one_is_no_state(method):
     grid = hj.Grid(-3.0, 60)
     scheme = scheme_of(hj.Problem(hj.rational(), hj.steps([-2.0, -1.0], [0.5]), end=1.0), grid, method)
     scheme.evaluate()
-    kept = next(name for name in ("state", "W", "q") if name in scheme.memory)
+    kept = next(name for name in ("state", "W", "q") if name in scheme.checkpoint_fields)
     part = getattr(scheme, kept)
     if part.size == grid.cells:
         part[30] = -1.5
@@ -289,7 +289,7 @@ def test_a_slope_below_minus_one_is_no_state(method):
 
 def test_steps_that_stay_too_short_end_the_run(monkeypatch):
     """Along q = -0.99 ln K falls by hundreds, and the steps of WENO5 are 1e-217: only so many are taken."""
-    monkeypatch.setattr("hjprofile.solvers.grids.march.PATIENCE", 100)
+    monkeypatch.setattr("hjprofile.solvers.grids.march.STEPS_BEFORE_FLOOR", 100)
     problem = hj.Problem(hj.power(3.0), hj.steps([-1.0, -0.5], [-0.99]), end=1.0)
     run = hj.solve_hj(problem, hj.Grid(-3.0, 100), "weno5")
     assert run.status.startswith("stopped at t = ") and "fell below 1e-09 of the run" in run.status

@@ -120,7 +120,7 @@ def test_a_vanishing_layer_is_the_limit_step_for_step(profile):
         # K is that of the last step in the one and of q now in the other: a kink has moved by half a cell, and the
         # exponential differs from its second-order factor (measured 0.011)
         assert np.abs(scheme.K - limit.K).max() <= 0.02
-        assert abs(scheme.growth - limit.growth) <= 1e-11
+        assert abs(scheme.toe_gain - limit.toe_gain) <= 1e-11
 
 
 def test_a_critical_slope_stays_critical():

@@ -152,7 +152,7 @@ def test_times_and_places_in_sentences_are_those_of_the_line():
     (tau,) = window.time(np.array([1.5]))
     here = {"t": Time(tau), "x": Place(-9.5), "q": -1.2}
     stop = Reasoned(Reason.NOT_ADMISSIBLE, "stopped at t = {t:.6g} near x = {x:.6g}: q = {q:g} reached -1", values=here)
-    assert str(stop.mapped(window.back, window.place)) == "stopped at t = 1.5 near x = -5.5: q = -1.2 reached -1"
+    assert str(stop.mapped(window.outer_time, window.place)) == "stopped at t = 1.5 near x = -5.5: q = -1.2 reached -1"
     run = hj.solve_hj(wave(hj.rational()), GRID, "godunov", cfl=3.0)
     assert not run.done and "stopped at t = " in run.status and run.x[0] >= -6.0
 

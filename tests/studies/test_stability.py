@@ -46,14 +46,14 @@ def test_no_method_holds_less_than_theory_promises_for_any_data(trials):
     for method, theory in {t.method: t.theory for t in trials if t.parameter == "cfl"}.items():
         assert not theory > measured_limit(trials, method)[0]
     method = METHODS["lax-friedrichs"]
-    promises, theory = {m.name: p for m, p in study._methods()}[method.name], method.cfl_proved
+    guarantees, theory = {m.name: p for m, p in study._methods()}[method.name], method.cfl_proved
     grid, rng, outcomes_at = hj.Grid(-4.0, 200), np.random.default_rng(3), {theory: set(), 1.0: set()}
     for _ in range(8):
         q = np.repeat(rng.uniform(-0.95, 3.0, 5), 40)
         q[:10] = 0.0
         data = study._Data(KINK, grid, q, 0.05)
         for number, found in outcomes_at.items():
-            found.add(study._attempt(study._scheme(method, data), data, number, promises, method.flux)[0])
+            found.add(study._attempt(study._scheme(method, data), data, number, guarantees, method.flux)[0])
     assert outcomes_at[theory] == {HOLDS} and outcomes_at[1.0] != {HOLDS}
 
 

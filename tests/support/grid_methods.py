@@ -31,4 +31,4 @@ def with_fault(monkeypatch, name, **changes):
     flux = replace(method.flux, **changes)
     height = method.form is Form.HEIGHT
     make = methods._for_height(methods.HamiltonJacobi, flux) if height else methods._for_slope(methods.FirstOrder, flux)
-    monkeypatch.setitem(methods._TABLE, name, replace(method, flux=flux, setup=Setup(make, method.setup.promises)))
+    monkeypatch.setitem(methods._TABLE, name, replace(method, flux=flux, setup=Setup(make, method.setup.guarantees)))

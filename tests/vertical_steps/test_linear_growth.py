@@ -291,7 +291,7 @@ def test_the_sweeps_thicken_by_the_true_exponential(method):
     scheme.evaluate()
     speed = scheme.advance(1e-9, 1, 1.0)
     exponent = grid.dx * float(np.sum(LAW.f(profile.q_means(grid, LAW))))
-    assert scheme.growth == pytest.approx(1e-9 * np.expm1(exponent), rel=1e-9)  # tables are good to 1e-11
+    assert scheme.toe_gain == pytest.approx(1e-9 * np.expm1(exponent), rel=1e-9)  # tables are good to 1e-11
     assert speed >= np.exp(1.5) * LAW.eta0  # what bounds the step knows it as well
 
 

@@ -1,4 +1,4 @@
-"""Labels of characteristics in time: steps of order 8, panels halved where they need it, and events (theory, §5)."""
+"""Labels of characteristics in time: steps of order 8, adaptive panels, and events (theory, §5)."""
 
 from __future__ import annotations
 
@@ -20,63 +20,66 @@ from hjprofile.solvers.run import Array, Event, KinkRecord
 from hjprofile.solvers.snapshots import Lost, Solution
 from hjprofile.solvers.stop import Place, Reason, Stop, Time
 
-# Seconds of a step, of a label in it, and of a saved time, where they were measured
+# Measured seconds of a step, of a label in it, and of a saved time
 TRY, LABEL, READ = 5e-4, 1.2e-6, 1.5e-3
-CORNER = 1e-3  # part of a panel within which a birth near a corner is one at it; a sliver would halve every step
-FLOOR = 1e-13  # least step, as a part of the end
-LEAST = 1e-15  # error of a step, below which it is rounding
-MOMENT, BEYOND, LOOK = 1e-11, 10.0, 100.0  # of events: in ends, in tolerances, and in thresholds of a birth
-MOST_PANELS, MOST_EVENTS = 4000, 200  # events at one moment; each takes a kink, a panel or a label away
-FARTHEST_LOOK = 1e-4  # ... and at most, as a part of the end
+CORNER = 1e-3  # fraction of a panel within which a birth is assigned to a corner; a sliver would halve every step
+FLOOR = 1e-13  # smallest step, as a fraction of the end
+SMALLEST_STEP_ERROR = 1e-15  # error of a step below which it is rounding
+MOMENT, TOLERANCES, BIRTH_DELAY = 1e-11, 10.0, 100.0  # of events: part of the end; of tolerances; of `threshold`
+MOST_PANELS, MOST_EVENTS = 4000, 200  # MOST_EVENTS: at one time; each removes a kink, a panel or a label
+LARGEST_DELAY = 1e-4  # largest interval after the end that is searched for events, as a fraction of the end
 NARROWEST_PANEL = 1e-9
-SQUARE_ROOT = 0.7  # first step of sqrt(t - birth), in square roots of the last step in time
-MUCH_BETTER = 1 / 30  # error of a step whose interpolant is good enough for an event's state
-AT_EVENT = 1e-14  # what is left of an event's sign after a step to it, as a part of its change
+SQUARE_ROOT = 0.7  # first step of sqrt(t - birth), relative to the square root of the last time step
+MUCH_BETTER = 1 / 30  # largest error of a step whose interpolant is used for the state at an event
+AT_EVENT = 1e-14  # largest sign of an event after a step to it, as a fraction of its change
 
 
 @dataclass
 class _Stretch:
-    """What a step is tried on: the panels at its start, and where its time is counted from."""
+    """The start of a step: the panels, and the origin of its clock."""
 
     panels: Panels
     t: float
-    origin: float  # NaN, or the latest birth: time runs in sqrt(t - origin)
+    origin: float  # NaN, or the last birth: the clock is then sqrt(t - origin)
 
     def clock(self, t: float) -> float:
+        """Return the clock at time t."""
         return t if np.isnan(self.origin) else float(np.sqrt(max(t - self.origin, 0.0)))
 
     def time(self, clock: float) -> float:
+        """Return the time of a value of the clock."""
         return clock if np.isnan(self.origin) else self.origin + clock * clock
 
 
 class MovingLabels(Solution):
-    """Characteristics on their way, to a tolerance of W; `patience` counts the seconds of work that are left."""
+    """Moving characteristics, to a tolerance of W; `patience` is the remaining work in seconds."""
 
     def __init__(self, problem: Problem, panels: Panels, table: LawTable, tolerance: float, patience: float):
         self.table, self.requested, self.end, self.patience = table, tolerance, float(problem.end), patience
-        # births need X_ξ and q, so that errors have to be small against the narrowest panel and the largest q
+        # births depend on X_ξ and q, so errors must be small relative to the narrowest panel and the largest q
         narrowest, largest = float(panels.mesh.half.min()), float(np.abs(panels.r - problem.law.R(0.0)).max())
-        self.tolerance = max(tolerance * min(1.0, narrowest) * min(1.0, largest), LEAST)
+        self.tolerance = max(tolerance * min(1.0, narrowest) * min(1.0, largest), SMALLEST_STEP_ERROR)
         self.now = _Stretch(panels, 0.0, np.nan)
         self.r0 = float(problem.law.R(0.0))
         self.h = self.dt = 0.01 * max(problem.end, 1e-300)
         self.events: list[Event] = []
         self.count, self.steps = panels.shocks, 0
-        # the smallest negative slope of X in the label that is no noise of panels or steps
+        # the smallest negative slope of X in the label that exceeds the errors of panels and steps
         self.threshold = max(1e-7, 30.0 * POINTS**2 * tolerance)
-        self.moment = problem.end * max(MOMENT, BEYOND * tolerance)
+        self.moment = problem.end * max(MOMENT, TOLERANCES * tolerance)
         self._allocate()
 
     @property
     def totals(self) -> list[float]:  # type: ignore[override]
-        """∫(K_left - 1) dt and ∫F(0) dt so far."""
+        """The integrals ∫(K_left - 1) dt and ∫F(0) dt so far."""
         return self.now.panels.totals.tolist()
 
     def volume(self) -> float:
-        """∫W dx."""
+        """Return ∫W dx."""
         return self.now.panels.volume()
 
     def stop(self, target: float, lost: Lost) -> Stop:
+        """Return the reason of a stop before `target`."""
         return Stop(
             lost.stop.reason,
             "stopped at t = {t:.6g}, before t = {before:.6g}: {why}",
@@ -86,29 +89,30 @@ class MovingLabels(Solution):
 
     @property
     def flat(self) -> bool:
-        """Whether every label has left at x = 0."""
+        """True if every label has left at x = 0."""
         return len(self.now.panels.r) == 0
 
     def _allocate(self) -> None:
+        """Allocate the work arrays for the current panels."""
         panels = self.now.panels
         self.medium = Medium(panels.mesh, RULE, self.table)
         rates = np.zeros((STAGES + 4, 2 * panels.r.size + 2))
         self.stages = Stages(np.zeros(panels.r.shape), np.zeros(panels.shocks + 1), rates)
 
     def advance(self, target: float) -> None:
-        """To the time `target`. Raises Lost where it cannot go on."""
-        idle = 0
+        """Advance to the time `target`. Raise Lost if that fails."""
+        stalled = 0
         while self.now.t < target and not self.flat:
             before = self.now.t
             self._step(target)
-            idle = idle + 1 if self.now.t == before else 0
-            if idle > MOST_EVENTS:
+            stalled = stalled + 1 if self.now.t == before else 0
+            if stalled > MOST_EVENTS:
                 raise Lost(Stop(Reason.LABELS_LOST, f"more than {MOST_EVENTS} events occur at one time"))
         if self.flat:
             self.now.t = target
 
     def _try(self, h: float) -> tuple[Panels, float]:
-        """Return the panels after a step h of the clock, and the error of the step as a part of the tolerance."""
+        """Return the panels after a step h of the clock, and the error of the step relative to the tolerance."""
         now, panels = self.now, self.now.panels
         self.patience -= TRY + LABEL * panels.r.size
         if self.patience < 0.0:
@@ -120,6 +124,7 @@ class MovingLabels(Solution):
         return panels.at(new, shocks), error / self.tolerance
 
     def _step(self, target: float) -> None:
+        """Make one step towards `target`, up to the first event."""
         now = self.now
         left = now.clock(target) - now.clock(now.t)
         h = min(self.h, left)
@@ -144,7 +149,7 @@ class MovingLabels(Solution):
             crossed = events.crossed(events.signs(panels), self.threshold)
             if crossed:
                 h, panels, event, error = self._first_event(crossed, h, panels, error)
-                if not error <= 1.0:  # the estimate of the longer step was small by chance
+                if not error <= 1.0:  # the error estimate of the longer step was too small
                     self.h, h = 0.0, 0.5 * h
                     continue
                 reached = False
@@ -162,10 +167,11 @@ class MovingLabels(Solution):
             if trimmed is not self.now.panels or crossed:
                 self.now = replace(self.now, panels=trimmed)
                 self._allocate()
-        if not crossed:  # a step that only a saved time cut short says nothing against longer ones
+        if not crossed:  # a step that was shortened to a saved time does not limit the next one
             self.h = max(self.h, before * (min(2.0, 0.9 * error**-0.125) if error > 0.0 else 2.0))
 
     def _why(self) -> Stop:
+        """Return the reason of a failure."""
         if self.found > 0:
             kink = self.now.panels.number[self.found - 1]
             return Stop(
@@ -176,7 +182,7 @@ class MovingLabels(Solution):
         return Stop(Reason.TOO_SMALL_STEPS, "the time steps become too small")
 
     def _rough(self, panels: Panels) -> list[int]:
-        """Panels whose last Chebyshev coefficients are no rounding."""
+        """Return the panels whose last Chebyshev coefficients exceed rounding."""
         most = max(0.1 * self.tolerance, TAIL)
         low, high = panels.living()
         return np.flatnonzero(
@@ -184,16 +190,16 @@ class MovingLabels(Solution):
         ).tolist()
 
     def finish(self) -> list[KinkRecord]:
-        """Return the kinks at the end. Events that rounding puts just behind it are noted, and end kinks."""
+        """Return the kinks at the end. Record events that rounding delays beyond the end, and end their kinks."""
         kinks, ahead = self.kinks(), copy(self)  # the next lines overwrite K
         ahead.events = []
         with suppress(Lost):
-            ahead.advance(self.end * (1.0 + min(LOOK * self.threshold, FARTHEST_LOOK)))
+            ahead.advance(self.end * (1.0 + min(BIRTH_DELAY * self.threshold, LARGEST_DELAY)))
         self.events += (late := [e._replace(time=self.end) for e in ahead.events if e.time <= self.end + self.moment])
         return [k for k in kinks if k.kink not in {e.kink for e in late if e.event != "birth"}]
 
     def read(self, nodes: Array) -> tuple[Array, Array]:
-        """W and K at the nodes."""
+        """Return W and K at the nodes."""
         self.patience -= READ
         W, K = np.zeros_like(nodes), np.ones_like(nodes)
         if not self.flat:
@@ -203,17 +209,17 @@ class MovingLabels(Solution):
         return W, K
 
     def _rates(self, panels: Panels) -> Array:
-        """Return dy/dt now, and leave the flux."""
+        """Return dy/dt at the current time, and update the flux."""
         out = np.empty(2 * panels.r.size + 2)
         shocks = panels.labels()
         self.found = kernels.rates(panels.y, self.now.t, self.medium, shocks, self.stages, np.nan, out)
         if self.found:
             raise Lost(self._why())
-        panels.off[:], panels.tau[:], panels.off_top[:] = shocks.off, shocks.tau, shocks.top
+        panels.off[:], panels.tau[:], panels.off_crest[:] = shocks.off, shocks.tau, shocks.crest
         return out
 
     def kinks(self) -> list[KinkRecord]:
-        """The kinks now, from left to right."""
+        """Return the current kinks, from left to right."""
         if self.flat:
             return []
         panels, records = self.now.panels, []
@@ -235,7 +241,7 @@ class MovingLabels(Solution):
         return records
 
     def _apply(self, event: events.Event) -> None:
-        """The panels after an event."""
+        """Update the panels after an event."""
         kind, i = event
         panels, t = self.now.panels, self.now.t
         if kind == "birth":
@@ -255,7 +261,7 @@ class MovingLabels(Solution):
         self.now = replace(self.now, panels=panels)
 
     def _birth(self, p: int) -> None:
-        """A shock where X first folds: a joint of segments there, and how its labels will part."""
+        """Insert a shock where X first folds: a joint of segments, and the separation of its labels."""
         panels, t = self.now.panels, self.now.t
         found = events.signs(panels)
         values, places = found.fold, found.place
@@ -270,7 +276,7 @@ class MovingLabels(Solution):
         right_end = p == mesh.first[k + 1] - 1 or not mesh.joined[p + 1]
         at_left, at_right = left_end and s < -1.0 + CORNER, right_end and s > 1.0 - CORNER
         if at_left or at_right:
-            cut = p + at_right  # the panel that will begin the new segment
+            cut = p + at_right  # the first panel of the new segment
         else:
             panels, cut = events.with_joint_at(panels, p, s)
             mesh = panels.mesh
@@ -297,7 +303,7 @@ class MovingLabels(Solution):
         else:  # X = -a τ δ + bend δ³
             sides = ([np.sqrt(a / bend), 0.5],) * 2
         self.count += 1
-        tau = 1e-14 * self.end  # labels so near are at the joint itself
+        tau = 1e-14 * self.end  # at this age the labels coincide with the joint
         self.now = _Stretch(events.parted(panels, cut, t, tau, sides, self.count), t, t)
         self.h = SQUARE_ROOT * float(np.sqrt(self.dt))
         self.events.append(Event(t, "birth", self.count, None, x))
@@ -307,14 +313,14 @@ class MovingLabels(Solution):
     ) -> tuple[float, Panels, events.Event, float]:
         """Return the step up to the first of these events, the panels there, the event, and the error of the step.
 
-        They were seen at the end of a step h, of which the panels and the error are given.
+        The events were detected at the end of a step h, with these panels and this error.
         """
         now, end = events.signs(self.now.panels), events.signs(panels)
         start = {e: events.value(now, e) for e in crossed}
         for e in crossed:
             if start[e] <= 0.0 and e[0] != "birth":
                 return 0.0, self.now.panels, e, 0.0
-        # an event that noise has begun before the step is shifted by that much
+        # the sign of an event that rounding has begun before the step is shifted by its value there
         shift = {e: min(start[e], 0.0) - (1e-300 if start[e] <= 0.0 else 0.0) for e in crossed}
 
         def least(panels: Panels) -> float:
@@ -331,10 +337,11 @@ class MovingLabels(Solution):
     def _root(
         self, h: float, end: Panels, least: Callable[[Panels], float], ends: tuple[float, float], error: float
     ) -> tuple[float, Panels, float]:
-        """Return the part of the last step, to `end`, at which `least` is 0, the panels there, and their error.
+        """Return the fraction of the last step, to `end`, at which `least` is 0, the panels there, and their error.
 
-        The root is found on the interpolant of the step. Where that is not much better than the tolerance, a step that
-        ends there improves it. Where a state of the interpolant has no labels, each evaluation is a step.
+        The root is found on the interpolant of the step. If the interpolant is not much more accurate than the
+        tolerance, a step that ends there improves the root. If a state of the interpolant has no labels, each
+        evaluation is a step.
         """
         from scipy.optimize import brentq
 

@@ -1,7 +1,7 @@
-"""Labels of characteristics on panels of Chebyshev points, cut from a profile (theory, §5).
+"""Labels of characteristics on panels of Chebyshev points, constructed from a profile (theory, §5).
 
-A label is where a characteristic starts; inside the fan of a downward jump it is ln R. On each panel r = R(q), X and
-I = W + r are polynomials of the label.
+A label is the initial position of a characteristic; inside the fan of a downward jump it is ln R. On each panel r =
+R(q), X and I = W + r are polynomials of the label.
 """
 
 from __future__ import annotations
@@ -20,16 +20,17 @@ from hjprofile.solvers.run import Array
 from hjprofile.solvers.stop import Place, Reason, Stop, Stopped
 
 POINTS = 16
-FAN = 0.5  # most that a panel of a fan spans in ln R
-NARROWEST = 1e-7  # panels of the data; a profile that needs narrower ones is not smooth between its corners
-MOST_PENDING = 4000  # panels of one width that are not resolved: their number doubles where a profile is rough
+FAN_PANEL = 0.5  # largest range of ln R in a panel of a fan
+NARROWEST = 1e-7  # smallest width of a panel; a profile that needs narrower ones is not smooth between its corners
+MOST_PENDING = 4000  # largest number of unresolved panels of one width: it doubles where a profile is rough
 TAIL = 1e-15 * POINTS**2  # rounding of the highest Chebyshev coefficients
-MISSED = 1e-11  # of W between the points of a panel: rounding, and far below every tolerance
-MOST_DEAD, MARGIN = 0.0, 0.02  # local place up to which labels may be dead at one end of a panel; what is left of them
+MISSED = 1e-11  # error of W between the points of a panel: rounding, and far below every tolerance
+MOST_DEAD, MARGIN = 0.0, 0.02  # largest dead local position at an end of a panel; dead width after a crop
 TAIL_OF_DATA = 2e-14  # R near q = 0 is a polynomial, with rounding of 1e-15
 
 
 def _rule() -> Rule:
+    """Return the interpolation rule of a panel."""
     s = -np.cos(np.pi * np.arange(POINTS) / (POINTS - 1))
     bary = (-1.0) ** np.arange(POINTS)
     bary[[0, -1]] *= 0.5
@@ -37,12 +38,13 @@ def _rule() -> Rule:
         D = bary[None, :] / bary[:, None] / (s[:, None] - s[None, :])
     np.fill_diagonal(D, 0.0)
     np.fill_diagonal(D, -D.sum(axis=1))
-    primitives = chebyshev.chebint(np.eye(POINTS), lbnd=1.0)  # of each Chebyshev polynomial, by column
+    primitives = chebyshev.chebint(np.eye(POINTS), lbnd=1.0)  # one Chebyshev polynomial per column
     B = -_to_coefficients(s).T @ chebyshev.chebval(s, primitives)
     return Rule(s, bary, D, np.ascontiguousarray(B))
 
 
 def _to_coefficients(s: Array) -> Array:
+    """Return the matrix from values at s to Chebyshev coefficients."""
     return np.linalg.inv(chebyshev.chebvander(s, POINTS - 1))
 
 
@@ -52,7 +54,7 @@ GAUSS = np.polynomial.legendre.leggauss(POINTS)
 
 
 def interpolation(s: Array) -> Array:
-    """The matrix from values at the points of a panel to those at s."""
+    """Return the matrix from values at the points of a panel to values at s."""
     apart = s[:, None] - RULE.s
     there = apart == 0.0
     rows = RULE.bary / np.where(there, 1.0, apart)
@@ -62,21 +64,21 @@ def interpolation(s: Array) -> Array:
 
 
 def tails(values: Array) -> Array:
-    """The largest of the last Chebyshev coefficients of each row, as a part of the row's size (at least 1)."""
+    """Return the largest of the last Chebyshev coefficients of each row, relative to the row's size (at least 1)."""
     coefficients = np.abs(values @ TO_COEFFICIENTS.T)
     return coefficients[:, -3:].max(axis=1) / np.maximum(coefficients.max(axis=1), 1.0)
 
 
 @dataclass
 class Panels:
-    """The state of a solution by characteristics; conventions of `kernels.labels`.
+    """The state of a solution by characteristics, in the conventions of `kernels.labels`.
 
     Attributes:
         r, X: shape (panels, points); X is measured from the panel's base.
-        mesh: what is frozen.
+        mesh: the fixed data of the labels.
         off, birth, power, tau: of the shocks, (shocks, 2) and (shocks,), see `rates`.
-        number: of the shocks, for life.
-        off_top: distance of the label at x = 0 from the last joint, shape (1,).
+        number: permanent numbers of the shocks.
+        off_crest: distance of the label at x = 0 from the last joint, shape (1,).
         totals: ∫(K_left - 1) dt and ∫F(0) dt.
     """
 
@@ -88,7 +90,7 @@ class Panels:
     power: Array
     tau: Array
     number: list[int]
-    off_top: Array
+    off_crest: Array
     totals: Array
 
     @property
@@ -101,28 +103,28 @@ class Panels:
 
     def labels(self) -> Shocks:
         """Return the labels of shocks, with copies of the arrays that a step changes."""
-        return Shocks(self.off.copy(), self.birth, self.power, self.tau.copy(), self.off_top.copy())
+        return Shocks(self.off.copy(), self.birth, self.power, self.tau.copy(), self.off_crest.copy())
 
     def at(self, y: Array, shocks: Shocks) -> Panels:
         """Return the same panels with another state."""
         size, shape = self.r.size, self.r.shape
         return replace(
             self, r=y[:size].reshape(shape), X=y[size : 2 * size].reshape(shape), totals=y[2 * size :],
-            off=shocks.off, off_top=shocks.top, tau=shocks.tau,
+            off=shocks.off, off_crest=shocks.crest, tau=shocks.tau,
         )  # fmt: skip
 
     def segment(self, p: int) -> int:
-        """The segment of panel p."""
+        """Return the segment of panel p."""
         return int(np.searchsorted(self.mesh.first, p, side="right")) - 1
 
     def living(self) -> tuple[Array, Array]:
-        """Return the local range of each panel in which labels are alive, empty (high <= low) where none is."""
+        """Return the local range of each panel in which labels are alive, empty (high <= low) if there are none."""
         low, high = np.empty(len(self.r)), np.empty(len(self.r))
-        living(self.mesh, self.off, self.off_top, low, high)
+        living(self.mesh, self.off, self.off_crest, low, high)
         return low, high
 
     def volume(self) -> float:
-        """∫W dx over the living labels, by Gauss-Legendre quadrature."""
+        """Return ∫W dx over the living labels, by Gauss-Legendre quadrature."""
         total = 0.0
         for p, (low, high) in enumerate(zip(*self.living(), strict=True)) if len(self.r) else ():
             if high > low:
@@ -132,7 +134,7 @@ class Panels:
         return total
 
     def resampled(self, pieces: list[tuple[int, float, float]], first: Array) -> Panels:
-        """Panels made of parts (panel, low s, high s) of these; `first` counts the new ones."""
+        """Return panels that consist of parts (panel, low s, high s) of these; `first` counts the new ones."""
         source = np.array([p for p, _, _ in pieces])
         ends = np.array([(a, b) for _, a, b in pieces])
         part = 0.5 * (ends[:, 1] - ends[:, 0])
@@ -154,7 +156,7 @@ class Panels:
         return replace(self, r=values(self.r), X=values(self.X), mesh=mesh)
 
     def split(self, where: dict[int, float]) -> Panels:
-        """Panels cut in two at the local places `where`."""
+        """Return panels cut in two at the local positions `where`."""
         pieces: list[tuple[int, float, float]] = []
         first = self.mesh.first.copy()
         for p in range(len(self.r)):
@@ -165,15 +167,15 @@ class Panels:
                 pieces.append((p, -1.0, 1.0))
         return self.resampled(pieces, first)
 
-    def kept(self, keep: Array) -> Panels:
-        """The panels for which `keep` is true, in the same segments."""
+    def selected(self, keep: Array) -> Panels:
+        """Return the panels for which `keep` is true, in the same segments."""
         m = self.mesh
         first = np.append(0, np.cumsum(keep))[m.first]
         mesh = Mesh(m.I[keep], m.dI[keep], m.half[keep], m.base[keep], m.joined[keep], first)
         return replace(self, r=self.r[keep], X=self.X[keep], mesh=mesh)
 
     def trimmed(self) -> Panels:
-        """Return panels without those that are wholly dead, and without large dead parts of others."""
+        """Return panels without those that are entirely dead, and without large dead parts of others."""
         if not len(self.r):
             return self
         low, high = self.living()
@@ -181,7 +183,7 @@ class Panels:
             return self._cropped(low, high)
         m = self.mesh
         keep = np.ones(len(self.r), dtype=bool)
-        off, power, off_top = self.off.copy(), self.power.copy(), self.off_top.copy()
+        off, power, off_crest = self.off.copy(), self.power.copy(), self.off_crest.copy()
         for k in range(self.shocks):
             p = after_start(off[k, 1], k + 1, m)[0]
             gone = slice(m.first[k + 1], p)
@@ -195,27 +197,27 @@ class Panels:
                 p = max(p, m.first[k + 1] + (m.first[k + 1] - 1 - last))
             if p > m.first[k + 1]:
                 power[k] = 0.0
-        last = before_end(off_top[0], self.shocks, m)[0]
+        last = before_end(off_crest[0], self.shocks, m)[0]
         keep[last + 1 :] = False
-        off_top[0] -= 2.0 * m.half[last + 1 :].sum()
+        off_crest[0] -= 2.0 * m.half[last + 1 :].sum()
         if keep.all():
             return self._cropped(low, high)
-        rest = replace(self.kept(keep), off=np.maximum(off, 0.0), power=power, off_top=off_top)
+        rest = replace(self.selected(keep), off=np.maximum(off, 0.0), power=power, off_crest=off_crest)
         return rest._cropped(*rest.living()) if len(rest.r) else rest
 
     def _cropped(self, low: Array, high: Array) -> Panels:
-        """Return panels without dead parts of more than half of one, which can diverge and would set the step.
+        """Return panels without dead parts of more than half a panel, which can diverge and would limit the step.
 
         A panel without an analytic continuation stays: beyond its end a label is found by the panel's own formula.
         """
-        back = self.mesh.joined.copy()
-        back[self.mesh.first[:-1][self.mesh.first[:-1] < len(back)]] = False
-        onwards = np.append(back[1:], False)
-        a = np.where((low > MOST_DEAD) & onwards, low - MARGIN, -1.0)
-        b = np.where((high < -MOST_DEAD) & back, high + MARGIN, 1.0)
+        joined_left = self.mesh.joined.copy()
+        joined_left[self.mesh.first[:-1][self.mesh.first[:-1] < len(joined_left)]] = False
+        joined_right = np.append(joined_left[1:], False)
+        a = np.where((low > MOST_DEAD) & joined_right, low - MARGIN, -1.0)
+        b = np.where((high < -MOST_DEAD) & joined_left, high + MARGIN, 1.0)
         if np.all((a == -1.0) & (b == 1.0)):
             return self
-        off, power, off_top = self.off.copy(), self.power.copy(), self.off_top.copy()
+        off, power, off_crest = self.off.copy(), self.power.copy(), self.off_crest.copy()
         half, first = self.mesh.half, self.mesh.first
         for k in range(self.shocks):
             after, before = first[k + 1], first[k + 1] - 1
@@ -223,15 +225,15 @@ class Panels:
             off[k, 0] -= (1.0 - b[before]) * half[before] if first[k] < first[k + 1] else 0.0
             if a[after] > -1.0 or (first[k] < first[k + 1] and b[before] < 1.0):
                 power[k] = 0.0
-        off_top[0] -= (1.0 - b[-1]) * half[-1]
+        off_crest[0] -= (1.0 - b[-1]) * half[-1]
         rest = self.resampled([(p, float(a[p]), float(b[p])) for p in range(len(self.r))], first)
-        return replace(rest, off=off, power=power, off_top=off_top)
+        return replace(rest, off=off, power=power, off_crest=off_crest)
 
 
 def cut_into_panels(problem: Problem, left: float, tail: float = TAIL_OF_DATA) -> Panels:
-    """Return the profile of a problem on panels between its corners and jumps, right of `left` or of where q begins.
+    """Return the profile of a problem on panels between its corners and jumps, right of `left` or of the start of q.
 
-    `tail` is the largest of the last Chebyshev coefficients of R(q). Raises RunError where the profile is not smooth
+    `tail` is the largest of the last Chebyshev coefficients of R(q). Raise RunError if the profile is not smooth
     between corners and jumps.
     """
     law, profile = problem.law, problem.profile
@@ -263,8 +265,8 @@ def cut_into_panels(problem: Problem, left: float, tail: float = TAIL_OF_DATA) -
 
 
 def _fan(x: float, W: float, r_left: float, r_right: float) -> list:
-    """Panels of a fan that opens at x: r falls geometrically, I with it."""
-    pieces = int(np.ceil(np.log(r_left / r_right) / FAN))
+    """Return the panels of a fan that opens at x: r decreases geometrically, and I with it."""
+    pieces = int(np.ceil(np.log(r_left / r_right) / FAN_PANEL))
     joints = np.linspace(np.log(r_left), np.log(r_right), pieces + 1)
     columns = []
     for i, (a, b) in enumerate(pairwise(joints.tolist())):
@@ -276,7 +278,7 @@ def _fan(x: float, W: float, r_left: float, r_right: float) -> list:
 def _smooth(problem: Problem, x: float, end: float, ends: tuple, sample: Sample, tail: float) -> list:
     """Return panels of a piece without corners, halved until their last Chebyshev coefficients are below `tail`.
 
-    A panel also has to give W at all positions of the sample, because a narrow bump may lie between its own points.
+    A panel must also reproduce W at all positions of the sample, because a narrow bump may lie between its own points.
     """
     law, profile = problem.law, problem.profile
     W0 = float(sample.W[0])
@@ -297,7 +299,7 @@ def _smooth(problem: Problem, x: float, end: float, ends: tuple, sample: Sample,
         r = law.R(q)
         dI = (W + r) @ RULE.D.T
         dI[np.abs(dI) < 1e-13] = 0.0
-        # x is known to its rounding, and r to that times its slope, which on a panel that is too wide means nothing
+        # x has a rounding error, and r has that error times its slope, which is meaningless on a panel that is too wide
         slope = np.abs(r @ RULE.D.T).max(axis=1) / half[:, 0] if stated is not None else np.zeros(len(r))
         rounding = 2.0 * np.finfo(float).eps * np.abs(pending).max(axis=1)
         noise = np.minimum(np.maximum(tail, rounding * slope), max(tail, MISSED))

@@ -1,8 +1,8 @@
 """Shock-fitted characteristics: the solution to rounding, through births, merges and exits of kinks (theory, §5).
 
-Over the labels of characteristics r = R(q) and X are a system of ordinary differential equations with one quadrature;
-a shock is the pair of labels that meet in it, found by algebra. Steps are of order 8, panels are halved where they need
-it, and events are found in their own time.
+Over the labels of characteristics r = R(q) and X satisfy ordinary differential equations with one quadrature. A shock
+is the pair of labels that meet in it, found by algebra. Steps are of order 8, panels are halved where necessary, and
+events are located in time.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from hjprofile.solvers.stop import Stop, Stopped, Time
 from hjprofile.solvers.units_of_the_law import Units, in_units_of_the_law
 
 TOLERANCE = 1e-12
-FINEST, COARSEST = 1e-13, 1e-4  # that may be asked for: finer is rounding
-STEPS = 1e-7  # coarsest tolerance of the steps: coarser ones save nothing, and at 1e-4 they can miss a birth
-DATA = 1e-3  # error of the panels at t = 0, as a part of the tolerance of steps: both runs have it
-COARSER, COARSE_STEPS = 10.0, 1e-6  # ratio of the tolerances of the two runs for the estimate; the second's most
-BUDGET = 30.0  # allowance of a budget in tolerances, of the size of its terms; 2000 random runs kept it
+FINEST, COARSEST = 1e-13, 1e-4  # limits of the tolerance of steps: finer ones are below rounding
+STEPS = 1e-7  # coarsest tolerance of the steps: coarser ones save no time, and at 1e-4 they can miss a birth
+DATA = 1e-3  # error of the panels at t = 0, relative to the tolerance of steps: both runs share it
+COARSER, COARSE_STEPS = 10.0, 1e-6  # ratio of the two tolerances for the estimate; the largest second one
+BUDGET = 30.0  # allowance of a budget in tolerances, relative to its terms; 2000 random runs satisfied it
 FEWEST_STEPS = 20  # for an estimate of rounding
-ROUNDING = 1e-14  # of W of order 1, after some hundred steps; measured 7e-14 at most on the rational closed forms
+W_ROUNDING = 1e-14  # of W of order 1, after some hundred steps; measured 7e-14 at most on the rational closed forms
 
 
 def solve_characteristics(
@@ -43,7 +43,7 @@ def solve_characteristics(
     progress: Callable[[float], None] | None = None,
     patience: float = np.inf,
 ) -> Run:
-    """Solves by shock-fitted characteristics on the half line; arguments as for `solve.solve_characteristics`."""
+    """Solve by shock-fitted characteristics on the half line; arguments as for `solve.solve_characteristics`."""
     asked, tolerance = tolerance, TOLERANCE if tolerance is None else tolerance
     steps = float(np.clip(tolerance / Units.of(problem.law).length, FINEST, STEPS))
     run = _two_runs(problem, grid, steps, progress, patience)
@@ -81,25 +81,25 @@ def _two_runs(
 def _march(
     solver: MovingLabels, problem: Problem, grid: Grid, progress: Callable[[float], None] | None = None
 ) -> tuple[Run, Array]:
-    """Return the run through all saved times, or as far as the method gets, and W, which has less rounding than u."""
+    """Return the run through all saved times that the method reaches, and W, which has less rounding than u."""
     start = solver.now.panels
     ends = np.array([start.mesh.base[0] + start.X[0, 0], 0.0])
     mass = float(np.diff(problem.profile.W(ends, problem.law))[0])
     volume = start.volume()
     # a step may add its tolerance, a panel its own, and the grid reads u to rounding
-    allowance = BUDGET * (solver.requested + ROUNDING) * (1.0 + abs(volume) + float(np.ptp(start.mesh.I)))
-    read = allowance + 4.0 * ROUNDING / grid.dx
+    allowance = BUDGET * (solver.requested + W_ROUNDING) * (1.0 + abs(volume) + float(np.ptp(start.mesh.I)))
+    read = allowance + 4.0 * W_ROUNDING / grid.dx
     allowed = {n: (allowance if n == "volume_budget" else read, "the tolerance") for n in BOUNDS}
-    # the least r lies a little below the least found on so many points, by less than that below the least on few
+    # the smallest r lies below the minimum on many points, by less than this minimum lies below that on few points
     few, many = float(start.r.min()), float((start.r @ interpolation(FINE.s).T).min())
     watch = SnapshotBounds(grid, mass, volume, allowed, law_q_f(max(2.0 * many - few, 0.5 * many), solver.table)[0])
     snapshots = walk(solver, problem, grid, watch, progress)
     return assembled("characteristics", solver, snapshots, watch, problem, grid), snapshots.rows(grid)[0]
 
 
-@np.errstate(over="ignore")  # R is 0 where f overflows, far from the r that is looked for
+@np.errstate(over="ignore")  # R is 0 where f overflows, far from the root
 def _table(problem: Problem, panels: Panels) -> LawTable:
-    """The law over all that r may become: dead labels go beyond what is alive."""
+    """Return the table of the law over all values that r may take: dead labels exceed the range of living ones."""
     from scipy.optimize import brentq
 
     most = float(panels.r.max() + np.ptp(panels.mesh.I))

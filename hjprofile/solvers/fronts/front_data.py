@@ -1,4 +1,4 @@
-"""Initial data of front tracking: pieces of constant I = W + R(q), cut where the error needs them (theory, §5)."""
+"""Initial data of front tracking: pieces of constant I = W + R(q), distributed by their error (theory, §5)."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from hjprofile.solvers.data_resolution import Sample, apart, divided, fine_sampl
 from hjprofile.solvers.run import Array
 from hjprofile.solvers.stop import ROBUST_METHOD, Reason, Stop, Stopped
 
-FOLDS = 5000.0  # e-folds of K that are cut through: the time for a run grows with their square, 20 s for these
-FAN = 0.25  # largest fall of ln R across one front: stronger ones, where q changes its sign, run off towards q = -1
-FLAT = 1e-10  # largest |q| of the critical slope
-NODES = 33  # of the path of q along a fan, on which its fronts are placed
-SWALLOWED = 16.0  # distances to the nearest shock to which a fall opens at most
-LEAST = 0.3  # of |W_x| + |R_x|, the least |I_x| that is counted: where they cancel, pieces would be too long
-FEWEST_IN_FAN = 4  # fronts of the fan of a stated jump
-PART = 1 / 32  # of the range of ln(1 + q), the largest change between two intervals of the sample
-MARKS = 0.25  # largest number of marks, as a part of the fronts: with more, weak ones are merged
+FOLDS = 5000.0  # largest sum of |ln K| changes; the time of a run grows with its square, to 20 s
+FAN_FRONT = 0.25  # largest fall of ln R across one front; stronger ones, if q changes sign, approach q = -1
+FLAT = 1e-10  # largest |q| that counts as the neutral slope
+NODES = 33  # number of values of q along a fan, between which its fronts are interpolated
+SWALLOWED = 16.0  # largest width to which a fall opens, in distances to the nearest shock
+LEAST_RATE = 0.3  # smallest |I_x| as a fraction of |W_x| + |R_x|: if they cancel, pieces would be too long
+FEWEST_IN_FAN = 4  # smallest number of fronts in the fan of a stated jump
+PART = 1 / 32  # largest change between two intervals of the sample, as a fraction of the range of ln(1 + q)
+MARKS = 0.25  # largest number of marks, as a fraction of the fronts; of more, the weak ones are merged
 LARGEST = 0.15  # mean spacing of fronts that steps of a law of linear growth assume, in decay lengths R'(0)
 JUMP = 1e-12  # smallest jump of q at a break
 
@@ -35,12 +35,12 @@ class FrontData:
     Attributes:
         x, jump: positions and jumps of I, from left to right; x may repeat where a fan opens.
         label: the number of the kink that a front is, or 0.
-        smooth: whether the piece right of a front stands for a stretch in which I varies.
+        smooth: True if the piece right of a front represents a stretch in which I varies.
         area: |change of I| times length of a piece, the same for all pieces of smooth data.
         spacing: mean length of the pieces, weighted by the change of I.
-        most_eroded: the largest |f|.
+        largest_f: the largest |f|.
         r0: R(0), r on the far left.
-        top: W at x = 0.
+        W_crest: W at x = 0.
         sample: the profile on a fine sample, or None if the fronts are the data.
     """
 
@@ -50,22 +50,22 @@ class FrontData:
     smooth: Array
     area: float
     spacing: float
-    most_eroded: float
+    largest_f: float
     r0: float
-    top: float
+    W_crest: float
     sample: Sample | None = None
 
     @property
     def kinks_only(self) -> bool:
-        """Whether the fronts are the data themselves, not an approximation."""
+        """True if the fronts are the data themselves, not an approximation."""
         return not self.smooth.any()
 
 
 class Pieces(NamedTuple):
-    """Pieces of constant I under laws of one kind of growth.
+    """Functions for pieces of constant I under laws of one kind of growth.
 
     Attributes:
-        table: (law, least q, largest R(q)) -> the law in the form that kernels take.
+        table: (law, smallest q, largest R(q)) -> the law in the form of the kernels.
         start: (law, this form, masses, lengths) -> r at the left ends of pieces, where r - r(length) = mass.
     """
 
@@ -93,7 +93,7 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int, pieces: Pieces) 
 
     reached_q = np.concatenate([mean, breaks[:, 1:].ravel(), [0.0]])
     ceiling = float(np.max(law.R(reached_q)) + np.ptp(W))
-    # a front that jumps down lowers the q on its right a little where the exact fan would not
+    # a downward front lowers q on its right slightly, unlike the exact fan
     floor = (1.0 + float(np.min(reached_q))) / 8.0 - 1.0
     table = pieces.table(law, floor, ceiling)
     r0 = float(law.R(0.0))
@@ -104,8 +104,8 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int, pieces: Pieces) 
 
     upward = np.isin(cuts, breaks[breaks[:, 2] > breaks[:, 1] + JUMP, 0])
     label = np.where(upward, np.cumsum(upward), 0)
-    present = upward | (np.abs(jump) > 1e-15)
-    members = present.astype(np.int64)
+    is_front = upward | (np.abs(jump) > 1e-15)
+    members = is_front.astype(np.int64)
     levels = np.empty(0)
     if sample is not None:
         r_left = np.append(r0, I[:-1]) - W[:-1]
@@ -120,24 +120,22 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int, pieces: Pieces) 
     else:
         jumps = jump[owner]
     flags = np.where(last, smooth[owner], True)
-    # a front without a jump is left out: the piece on its left continues
-    gone = np.maximum(np.searchsorted(owner, np.flatnonzero(~present & (members == 0))) - 1, 0)
+    # a front without a jump is omitted: the piece on its left continues
+    gone = np.maximum(np.searchsorted(owner, np.flatnonzero(~is_front & (members == 0))) - 1, 0)
     if owner.size:
-        flags[gone] |= smooth[~present & (members == 0)]
+        flags[gone] |= smooth[~is_front & (members == 0)]
     weight = np.abs(jump) * smooth
     spacing = float(weight @ h / weight.sum()) if weight.any() else -float(cuts[0]) / fronts
     spacing = min(spacing, LARGEST * float(law.R_derivative(0.0)))
     if sample is None:
         area = -float(cuts[0]) * float(np.abs(jump).sum()) / fronts**2
-    most_eroded = float(np.abs(law.f(reached_q)).max())
-    data = FrontData(
-        cuts[owner], jumps, label[owner] * last, flags, area, spacing, most_eroded, r0, float(W[-1]), sample
-    )
+    largest_f = float(np.abs(law.f(reached_q)).max())
+    data = FrontData(cuts[owner], jumps, label[owner] * last, flags, area, spacing, largest_f, r0, float(W[-1]), sample)
     return data, table
 
 
 class _Fans(NamedTuple):
-    """Fans along which q falls: ln R and the need of fronts up to there, shape (fans, NODES)."""
+    """Fans along which q falls: ln R and the cumulative need of fronts, shape (fans, NODES)."""
 
     level: Array
     need: Array
@@ -146,8 +144,8 @@ class _Fans(NamedTuple):
 def _placed(problem: Problem, left: float, fronts: int, breaks: Array) -> tuple[Array, Sample, float, Array]:
     """Return the left ends of pieces, a fine sample of the profile, the need of a piece, and the breaks that are cuts.
 
-    Where more than a part MARKS of the fronts would be jumps, only the strongest jump of each piece is a cut, and the
-    others are merged: W stays exact at the ends of pieces, and `compare_data` bounds the error between them.
+    If more than the fraction MARKS of the fronts would be jumps, only the strongest jump of each piece is a cut, and
+    the others are merged. W stays exact at the ends of pieces, and `compare_data` bounds the error between them.
     """
     start = problem.profile.start(tail=1e-14)
     start = max(start, left) if np.isfinite(start) and start < 0.0 else left
@@ -174,7 +172,7 @@ def _placed(problem: Problem, left: float, fronts: int, breaks: Array) -> tuple[
         first = order[np.append(True, np.diff(piece[order]) > 0)]
         marked = marked[np.sort(first)]
     at_start = breaks[breaks[:, 0] == start]
-    # the critical slope on the right begins with an end of a piece, lest the last piece reach into it
+    # the neutral slope on the right begins at an end of a piece, so that no piece contains its start
     sloping = np.flatnonzero(np.abs(sample.q) > FLAT)
     ends = sample.x[sloping[-1:] + 1]
     ends = ends[ends > start]
@@ -200,10 +198,10 @@ def _need(problem: Problem, sample: Sample, jumps: Array, shocks: Array) -> Arra
         K = np.exp(np.maximum(sample.ln_K[1:-1], 0.0))
         f, slope = law.f(q), law.derivative(q)
         decay, change = 0.5 * (q[1:] + q[:-1]), np.diff(law.R(q)) / between
-        rate = np.maximum(np.abs(decay + change), LEAST * (np.abs(decay) + np.abs(change)))
+        rate = np.maximum(np.abs(decay + change), LEAST_RATE * (np.abs(decay) + np.abs(change)))
         parting = K * (np.diff(slope) / between - 0.5 * (f * slope)[1:] - 0.5 * (f * slope)[:-1])
         duration = np.minimum(_duration(problem, x[1:-1], q[1:], K), _duration(problem, x[1:-1], q[:-1], K))
-        longer = 1.0 + np.minimum(np.maximum(parting, 0.0) * duration, _room(x[1:-1], shocks) / between)
+        longer = 1.0 + np.minimum(np.maximum(parting, 0.0) * duration, _width(x[1:-1], shocks) / between)
         node = np.sqrt(rate * longer)
     known = np.isfinite(node) & ~np.isin(x[1:-1], jumps)
     node = np.where(known, node, 0.0)
@@ -219,12 +217,12 @@ def _fans(problem: Problem, sample: Sample, shocks: Array, x: Array, before: Arr
     K = np.exp(np.maximum(np.interp(x, sample.x, sample.ln_K), 0.0))[:, None]
     R, duration = law.R(q), _duration(problem, x[:, None], q, K)
     opening = np.maximum(K * np.diff(law.derivative(q)) * np.minimum(duration[:, 1:], duration[:, :-1]), 0.0)
-    opening *= np.minimum(1.0, _room(x, shocks)[:, None] / np.maximum(opening.sum(axis=1, keepdims=True), 1e-300))
+    opening *= np.minimum(1.0, _width(x, shocks)[:, None] / np.maximum(opening.sum(axis=1, keepdims=True), 1e-300))
     need = np.cumsum(np.sqrt(np.maximum(-np.diff(R), 0.0) * opening), axis=1)
     return _Fans(np.log(R), np.hstack([np.zeros((x.size, 1)), need]))
 
 
-def _room(x: Array, shocks: Array) -> Array:
+def _width(x: Array, shocks: Array) -> Array:
     """Return the largest width to which a fall at x opens, before it leaves or the nearest shock swallows it."""
     at = np.searchsorted(shocks, x)
     nearest = np.minimum(x - np.append(-np.inf, shocks)[at], np.append(shocks, np.inf)[at] - x)
@@ -232,7 +230,7 @@ def _room(x: Array, shocks: Array) -> Array:
 
 
 def _duration(problem: Problem, x: Array, q: Array, K: Array) -> Array:
-    """Return the time for which a characteristic moves as at first: till the end, till it leaves or till q changes.
+    """Return the time of nearly constant motion of a characteristic: until the end, its exit, or a change of q.
 
     A negative q rises by q' = K f² in the time |q|/q'.
     """
@@ -246,10 +244,10 @@ def _levels(
     problem: Problem, sample: Sample, quantum: float, cuts: Array, mean: Array, breaks: Array,
     r_left: Array, r_right: Array,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Return the levels of ln r in fans, all in one array, and how many belong to each cut; 0 are no fan.
+    """Return the levels of ln r in fans, in one array, and the number of levels at each cut; 0 if there is no fan.
 
-    A fall that needs more than one front is divided, whether the profile states a jump there or not. No front of it
-    is stronger than FAN.
+    A fall that needs more than one front is divided, whether or not the profile states a jump there. No front of it is
+    stronger than FAN.
     """
     falls = breaks[breaks[:, 1] > breaks[:, 2] + JUMP]
     at = np.searchsorted(cuts, falls[:, 0])
@@ -261,15 +259,15 @@ def _levels(
     shocks = breaks[breaks[:, 2] > breaks[:, 1] + JUMP, 0]
     fans = _fans(problem, sample, shocks, cuts[steep], before[steep], after[steep])
     level = fans.level
-    # a front between two pieces falls from r to r, which are not those of the means
-    top, foot = np.log(r_left[steep]), np.log(r_right[steep])
-    top, foot = np.where(stated[steep], level[:, 0], top), np.where(stated[steep], level[:, -1], foot)
+    # the values of r on both sides of a front differ from R of the mean slopes
+    upper, lower = np.log(r_left[steep]), np.log(r_right[steep])
+    upper, lower = np.where(stated[steep], level[:, 0], upper), np.where(stated[steep], level[:, -1], lower)
     part = (level - level[:, :1]) / np.minimum(level[:, -1:] - level[:, :1], -1e-300)
-    level = top[:, None] + (foot - top)[:, None] * part
+    level = upper[:, None] + (lower - upper)[:, None] * part
     s = fans.need / quantum if quantum > 0.0 else np.zeros_like(level)
-    count = np.maximum(np.round(s[:, -1]), np.ceil((top - foot) / FAN))
+    count = np.maximum(np.round(s[:, -1]), np.ceil((upper - lower) / FAN_FRONT))
     count = np.where(stated[steep], np.maximum(count, FEWEST_IN_FAN), count)
-    # uniform in ln r where the needs tell little
+    # uniform in ln r if the needs are small
     s += (1e-3 * s[:, -1:] + 1e-12) * np.linspace(0.0, 1.0, NODES)
     number = np.zeros(cuts.size, dtype=np.int64)
     found = []
@@ -277,10 +275,10 @@ def _levels(
         n = int(count[k])
         number[steep[k]] = n
         edges = np.interp(np.arange(1, n) / n * s[k, -1], s[k], level[k])
-        edges = np.concatenate([[top[k]], edges, [foot[k]]])
+        edges = np.concatenate([[upper[k]], edges, [lower[k]]])
         most = np.max(-np.diff(edges))
-        if most > FAN:
-            extra = np.maximum(np.ceil(-np.diff(edges) / FAN), 1).astype(int)
+        if most > FAN_FRONT:
+            extra = np.maximum(np.ceil(-np.diff(edges) / FAN_FRONT), 1).astype(int)
             edges = divided(edges, extra)
             number[steep[k]] = edges.size - 1
         found.append(0.5 * (edges[1:] + edges[:-1]))

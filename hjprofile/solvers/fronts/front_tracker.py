@@ -20,11 +20,11 @@ from hjprofile.solvers.kernels.dormand_prince import STAGES, tableau
 from hjprofile.solvers.kernels.law import LawTable, law_q_f, start_pieces
 from hjprofile.solvers.run import Array
 
-TIME = 1.0  # times the area of a piece, the largest error that time steps may add: measured, a tenth of that in space
-SAVED = 0.1  # part of the time for which error that was not used is kept for later steps
-NEAR = 0.05  # longest stretch for a Taylor series, and ...
-NEAR_AREA = 0.1  # ... its fourth power, of the area of a piece: its error is then a 24th of that
-STRONG = 0.95  # part of the small fronts whose jump is less than a KINK-th of that of a new kink
+TIME = 1.0  # largest error of the time steps, in areas of a piece; measured: a tenth of the error in space
+SAVED = 0.1  # largest time for which unused error is saved for later steps, as a fraction of the end
+TAYLOR_REACH = 0.05  # largest distance of a Taylor series
+TAYLOR_AREA = 0.1  # its fourth power, in areas of a piece: the error of the series is then a 24th of the area
+SMALL_FRONT_QUANTILE = 0.95  # quantile of the jumps of small fronts; a new kink is KINK times stronger
 TOLERANCE = 1e-13  # of one step of the exact integration
 
 
@@ -37,25 +37,25 @@ class FrontTracker(Tracker):
         self.x, self.jump, self.label = data.x.copy(), data.jump.copy(), data.label.copy()
         self.fronts = Fronts(self.x, self.jump, self.label, np.full(capacity, np.inf), data.smooth.copy())
         small = np.abs(self.jump[self.label == 0])
-        if small.size and not exact:  # jumps differ where lengths do
-            self.strong = KINK * float(np.quantile(small, STRONG))
-        self.medium = Medium(data.r0, 0.0 if exact else min(NEAR, (NEAR_AREA * data.area) ** 0.25), table)
+        if small.size and not exact:  # jumps differ if lengths do
+            self.strong = KINK * float(np.quantile(small, SMALL_FRONT_QUANTILE))
+        self.medium = Medium(data.r0, 0.0 if exact else min(TAYLOR_REACH, (TAYLOR_AREA * data.area) ** 0.25), table)
         label, first = np.zeros(capacity, dtype=np.int64), np.zeros(capacity, dtype=np.int64)
         x, jump, first_merge, speed = np.zeros((4, capacity))
-        states, more = (STAGES + 1, 2) if exact else (5, 0)  # more: the integrals that are a part of the state
+        states, more = (STAGES + 1, 2) if exact else (5, 0)  # more: the integrals in the state
         rate, (trial, new) = np.zeros((states, capacity + more)), np.zeros((2, capacity + more))
         self.sides = Sides(*np.zeros((4, capacity)))
         self.work = Workspace(
             self.sides, Stack(x, jump, label, first_merge, speed, first), rate, trial, new, np.zeros(capacity)
         )
-        # the fourth power of the longest step falls like the square of the number of fronts, as the error in space does
+        # longest step^4 scales with the inverse square of the number of fronts, as the error in space does
         longest = max(end, 1e-300) / math.sqrt(capacity)
         first_step = np.array([min(math.sqrt(data.area), longest), SAVED * end])
         allowed = TIME * data.area / max(end, 1e-300)
         self.control = Control(self.strong, allowed, longest, SAVED * end, first_step)
 
     def advance(self, target: float) -> None:
-        """To the time `target`, if steps are not too small for that; merges, births and exits are noted."""
+        """Advance to the time `target` unless steps become too small; record merges, births and exits."""
         state, rest = (self.fronts, self.n, self.t, target), (self.medium, self.work, self.journal)
         if self.exact:
             self._note(*advance_exactly(*state, ExactControl(self.strong, TOLERANCE, tableau()), *rest))
@@ -64,25 +64,27 @@ class FrontTracker(Tracker):
         self.t = target
 
     def _sweep(self) -> Sides:
-        """The sides of the fronts that there are."""
+        """Return the sides of the current fronts."""
         sweep(self.x, self.jump, self.n, self.n - 1, self.medium, self.sides)
         return Sides(*(side[: self.n] for side in self.sides))
 
     def read(self, nodes: Array) -> tuple[Array, Array]:
-        """W and K at the nodes."""
+        """Return W and K at the nodes."""
         W, K = np.empty_like(nodes), np.empty_like(nodes)
         front_reading.read(self.fronts, self.n, self.data.area, self.medium, self.sides, nodes, W, K)
         return W, K
 
     def volume(self) -> float:
-        """∫W dx."""
+        """Return ∫W dx."""
         return front_reading.volume(self.fronts, self.n, self.medium, self._sweep().r_right)
 
     def least(self) -> float:
+        """Return the smallest q on the right of a front."""
         right = self._sweep().r_right
         return float(law_q_f(right.min(), self.medium.law)[0]) if self.n else 0.0
 
     def _kink_sides(self) -> Iterator[tuple[int, float, float, float]]:
+        """Yield index, q on both sides and speed of each kink."""
         left, right, slope, K = self._sweep()
         law = self.medium.law
         for j in np.flatnonzero(self.label[: self.n] > 0).tolist():
@@ -98,6 +100,7 @@ def _table(law: ErosionLaw, least: float, ceiling: float) -> LawTable:
 
 
 def _start_of_pieces(law: ErosionLaw, table: LawTable, mass: Array, h: Array) -> Array:
+    """Return r at the left ends of pieces."""
     if law.name == "rational":
         return 1.0 + mass / -np.expm1(-h)
     r = np.empty_like(mass)

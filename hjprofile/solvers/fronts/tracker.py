@@ -1,4 +1,4 @@
-"""Fronts in motion as a solution: what fronts have in common under laws of sublinear and of linear growth."""
+"""Moving fronts as a solution: the common part under laws of sublinear and of linear growth."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from hjprofile.solvers.run import Array, Event, KinkRecord
 from hjprofile.solvers.snapshots import Lost, Solution
 from hjprofile.solvers.stop import ROBUST_METHOD, Place, Reason, Stop, Time
 
-KINK = 4.0  # times the strength of an ordinary small front: one that has swallowed so much is a kink, or a step
-MOMENT = 1e-9  # accuracy of the times of events, as a part of the end: measured 1e-12 on kinks
+KINK = 4.0  # strength of a kink or vertical step, relative to an ordinary small front
+MOMENT = 1e-9  # accuracy of the times of events, as a fraction of the end; measured: 1e-12 on kinks
 
 
 class Tracker(Solution):
-    """Fronts on their way, the first `n` of the arrays that kernels move.
+    """Moving fronts, the first `n` of the arrays that kernels update.
 
     Attributes:
         x, jump, label: positions, jumps of I and labels.
-        exact: whether fronts are moved to rounding.
-        strong: jump from which on a front is a kink or a step, KINK times `quantum`, that of an ordinary small front.
-        arrived: whether the last `advance` has reached its target.
-        journal: what the kernels write down.
+        exact: True if fronts are moved to rounding.
+        strong: smallest jump of a kink or step: KINK times `quantum`, the jump of an ordinary small front.
+        arrived: True if the last `advance` reached its target.
+        journal: the records of the kernels.
     """
 
     x: Array
@@ -46,17 +46,18 @@ class Tracker(Solution):
 
     @property
     def steps(self) -> int:  # type: ignore[override]
-        """Number of time steps so far."""
+        """The number of time steps so far."""
         return int(self.journal.counts[STEPS])
 
     def _note(self, n: int, arrived: bool = True) -> None:
-        """Take over what a kernel returns. The events of a stretch that it has not finished are dropped."""
+        """Store the results of a kernel. Events of an unfinished stretch are dropped."""
         self.n, self.arrived = n, arrived
         for t, kind, kink, into, x in self.journal.log[: self.journal.counts[LOGGED] if arrived else 0].tolist():
             self.events.append(Event(t, EVENTS[int(kind)], int(kink), int(into) if kind == MERGE else None, x))
         self.journal.counts[LOGGED] = 0
 
     def check(self, grid: Grid, W: Array, K: Array) -> None:
+        """Raise Lost if the state is not admissible, or if the target was not reached."""
         fault = _first_fault(W, K, grid)
         if fault is None and not self.arrived:
             fault = int(np.argmax(K))
@@ -72,15 +73,15 @@ class Tracker(Solution):
             )
 
     def least(self) -> float:
-        """The smallest q on the right of a front, which a grid may miss between two nodes."""
+        """Return the smallest q on the right of a front, which a grid may miss between two nodes."""
         raise NotImplementedError
 
     def _kink_sides(self) -> Iterator[tuple[int, float, float, float]]:
-        """Of each front with a label that is no step: its index, q on its left and right, and its speed."""
+        """Yield index, q on the left and right, and speed of each labelled front that is not a vertical step."""
         raise NotImplementedError
 
     def kinks(self) -> list[KinkRecord]:
-        """The kinks now, from left to right: both speeds are that of the front."""
+        """Return the current kinks, from left to right: both speeds are that of the front."""
         return [
             KinkRecord(self.t, int(self.label[j]), float(self.x[j]), before, after, after - before, speed, speed)
             for j, before, after, speed in self._kink_sides()
@@ -89,7 +90,7 @@ class Tracker(Solution):
 
 
 def _first_fault(W: Array, K: Array, grid: Grid) -> int | None:
-    """The rightmost node at which the state is not admissible, or None."""
+    """Return the rightmost node at which the state is not admissible, or None."""
     q = np.diff(W) / grid.dx
     bad = ~(np.isfinite(K) & (K > 0.0))
     bad[1:] |= ~(np.isfinite(q) & (q > -1.0))

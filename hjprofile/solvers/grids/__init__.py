@@ -1,1 +1,1 @@
-"""Grids: schemes for u and for q, time stepping, and what watches it."""
+"""Grids: schemes for u and for q, time stepping, and monitors."""

@@ -1,4 +1,4 @@
-"""A-priori facts and budgets that every run must respect (theory, §1 and §3), watched from outside."""
+"""Monitor of the a-priori bounds and budgets that every run must satisfy (theory, §1 and §3)."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from hjprofile.solvers.grids.flux import Flux
 from hjprofile.solvers.grids.kernels import watch
 from hjprofile.solvers.run import Array, Halt, State, Verdict
 
-ROUNDING = 1e-10  # relative; some 1e5 steps add up errors of 1e-16 each, at worst all in one direction
-EXACT, FIRST_ORDER = "rounding", "first order in dx"  # how well a method keeps what it promises
+ROUNDOFF = 1e-10  # relative rounding error; 1e5 steps sum errors of 1e-16 each, in the worst case all of one sign
+EXACT, FIRST_ORDER = "rounding", "first order in dx"  # accuracy to which a method satisfies a bound
 
-# How a method keeps each bound, None if it does not promise it. First: schemes in conservation form that are monotone
-# in q; the local viscosity changes with q, which keeps them from being so; a higher order cannot be.
-Promises = Mapping[str, str | None]
-MONOTONE: Promises = MappingProxyType(
+# Accuracy to which a method satisfies each bound, None if it is not guaranteed. The first mapping is for monotone
+# schemes in conservation form. A local viscosity depends on q, so the scheme is not monotone. Schemes of higher order
+# are not monotone either.
+Guarantees = Mapping[str, str | None]
+MONOTONE: Guarantees = MappingProxyType(
     {
         "mass_budget": EXACT,
         "volume_budget": FIRST_ORDER,
@@ -34,63 +35,64 @@ MONOTONE: Promises = MappingProxyType(
         "kruzkov": EXACT,
     }
 )
-TELESCOPING: Promises = MappingProxyType({**MONOTONE, "volume_budget": EXACT})
-# a law of linear growth (theory, §14): q is without bound, and so is its variation
-STEEP: Promises = MappingProxyType({**TELESCOPING, **dict.fromkeys(("upper_bound", "tv_growth"))})
-STEEP_SECOND_ORDER: Promises = MappingProxyType(
-    {name: kept and FIRST_ORDER for name, kept in STEEP.items()}
+TELESCOPING: Guarantees = MappingProxyType({**MONOTONE, "volume_budget": EXACT})
+# a law of linear growth (theory, §14): q and its variation are unbounded
+STEEP: Guarantees = MappingProxyType({**TELESCOPING, **dict.fromkeys(("upper_bound", "tv_growth"))})
+STEEP_SECOND_ORDER: Guarantees = MappingProxyType(
+    {name: accuracy and FIRST_ORDER for name, accuracy in STEEP.items()}
     | {"mass_budget": EXACT, "volume_budget": EXACT}
     | dict.fromkeys(("flux_maximum", "flux_variation", "kruzkov"))
 )
-LOCAL: Promises = MappingProxyType(
+LOCAL: Guarantees = MappingProxyType(
     {**MONOTONE, **dict.fromkeys(("flux_maximum", "flux_variation", "kruzkov"))},
 )
-HIGHER_ORDER: Promises = MappingProxyType(
-    {name: kept and FIRST_ORDER for name, kept in LOCAL.items()} | {"mass_budget": EXACT}
+HIGHER_ORDER: Guarantees = MappingProxyType(
+    {name: accuracy and FIRST_ORDER for name, accuracy in LOCAL.items()} | {"mass_budget": EXACT}
 )
-# Whatever the factor is: the other facts use that K is made of q, and hold for a factor that is kept to first order
-# in the time that it is kept, without a constant that is known
+# Bounds for any K. The others use the definition of K by q. With a frozen K they hold to first order in the refresh
+# interval, with an unknown constant.
 FOR_ANY_FACTOR = ("mass_budget", "signs", "l1_decay", "flux_maximum", "flux_variation", "kruzkov")
-# K of the 2x2 model is not that of q, and q < 0 may fall: what is left is that a slope is carried along, by H > 0
-WITH_LAYER: Promises = MappingProxyType(dict.fromkeys(("mass_budget", "volume_budget", "signs", "l1_decay"), EXACT))
-STOPPING = ("mass_budget", "volume_budget")  # where they are kept to rounding, nothing is right that breaks them
+# K of the 2x2 model is not K of q, and q < 0 may decrease; with H > 0 slopes are still transported
+WITH_LAYER: Guarantees = MappingProxyType(dict.fromkeys(("mass_budget", "volume_budget", "signs", "l1_decay"), EXACT))
+STOPPING = ("mass_budget", "volume_budget")  # if a method satisfies them to rounding, a violation stops the run
 
 
 class BoundsMonitor:
-    """Records the worst margin of each bound that a method promises, with its time and place.
+    """Worst margin of each bound that a method guarantees, with its time and position.
 
     With q(0) the data, q⁺ and q⁻ their positive and negative parts:
-    mass_budget: ∫q changes by the inflow less the lowering of the crest.
-    volume_budget: the eroded volume is ∫(K(left) - 1) dt (§6g): to rounding where the flux telescopes, else within
-        dx ∫∫ (K f² + max(K f') |q_x|) dx dt, the first-order difference between Σ F dx and K(left) - 1.
-    minimum_principle: q >= min(inf q(0), 0).
-    signs: data of one sign keep it.
-    l1_decay: ‖q‖₁ does not increase.
-    factor_bounds: -f'(inf q(0)) ‖q⁻‖₁ <= ln K <= f'(0) ‖q⁺‖₁; the margin is the part that is left.
-    upper_bound: q/f(q) <= sup(q(0)/f(q(0)) + W(0)) + ‖q⁻‖₁ [qBound]; the margin likewise, of what lies above 1/f'(0).
-    tv_growth: TV(q) grows by ∫ TV(K f²) dt at most; the margin likewise.
-    flux_maximum, flux_variation, kruzkov: with K frozen at a state, a step of the method's own length
-        does not raise sup|F| nor TV(F) [decay_sup_flux, decay_tv_flux], and it keeps the order of states, which is
-        Kružkov's inequality: |H(q) - H(α)| <= H(max(q, α)) - H(min(q, α)) for the step H and a constant α.
-        With a coefficient that does not depend on t, neither may grow over the whole run (but for lax-friedrichs, the
-        viscosity of which changes).
 
-    With a prescribed coefficient, and with a factor that is kept for a while, FOR_ANY_FACTOR alone are watched.
-    What is kept to first order may miss by dx TV(q). Where something flows in, only budgets and the least q count.
+    - mass_budget: ∫q changes by the inflow less the lowering of the crest.
+    - volume_budget: the eroded volume is ∫(K(left) - 1) dt (§6g): to rounding if the flux telescopes, else within dx ∫∫
+      (K f² + max(K f') |q_x|) dx dt, the first-order difference between Σ F dx and K(left) - 1.
+    - minimum_principle: q >= min(inf q(0), 0).
+    - signs: q of one sign at t = 0 retains its sign.
+    - l1_decay: ‖q‖₁ does not increase.
+    - factor_bounds: -f'(inf q(0)) ‖q⁻‖₁ <= ln K <= f'(0) ‖q⁺‖₁; the margin is the unused fraction.
+    - upper_bound: q/f(q) <= sup(q(0)/f(q(0)) + W(0)) + ‖q⁻‖₁ [qBound]; the margin is the unused fraction of the excess
+      over 1/f'(0).
+    - tv_growth: TV(q) grows by ∫ TV(K f²) dt at most; the margin is the unused fraction.
+    - flux_maximum, flux_variation, kruzkov: with K frozen at a state, a step of the method's own length does not raise
+      sup|F| or TV(F) [decay_sup_flux, decay_tv_flux], and it preserves the order of states, which is Kružkov's
+      inequality: |H(q) - H(α)| <= H(max(q, α)) - H(min(q, α)) for the step H and a constant α. With a coefficient that
+      does not depend on t, neither may grow over the whole run (except for lax-friedrichs, whose viscosity changes).
+
+    With a prescribed coefficient, and with a frozen K, only FOR_ANY_FACTOR are monitored. Bounds that hold to first
+    order have an additional allowance of dx TV(q). With an inflow only the budgets and the smallest q are monitored.
 
     Raises:
-        Halt: where one of STOPPING is kept to rounding and broken; with `strict` where any is broken.
+        Halt: if one of STOPPING is satisfied to rounding by the method and violated; with `strict` if any is violated.
     """
 
-    STEPS, SHARE = 1024, 1 / 8  # between two looks: steps, or part of the run
+    STEPS, SHARE = 1024, 1 / 8  # between two observations: steps, or fraction of the run
     FROZEN_STEPS = 16384
-    memory: tuple[str, ...] = (
-        "worst", "t", "looked", "froze", "rate", "budget_error", "budget_allowance", "norm", "growth_allowed",
-        "eroded_volume", "toe_outflow", "crest_lowering", "swell", "first_volume", "flux_seen",
+    checkpoint_fields: tuple[str, ...] = (
+        "worst", "t", "steps_observed", "steps_frozen", "rate", "budget_error", "budget_allowance", "norm",
+        "growth_allowed", "eroded_volume", "toe_outflow", "crest_lowering", "tv_source", "first_volume", "flux_seen",
     )  # fmt: skip
 
     def __init__(
-        self, problem: Problem, grid: Grid, W: Array, promises: Promises,
+        self, problem: Problem, grid: Grid, W: Array, guarantees: Guarantees,
         flux: Flux | None = None, strict: bool = False, refresh: float | None = None,
     ):  # fmt: skip
         law, inflow, coefficient = problem.law, problem.profile.inflow, problem.coefficient
@@ -105,10 +107,10 @@ class BoundsMonitor:
         self.R0 = float(law.R(0.0))
         self.sign = 1.0 if self.floor == 0.0 else -1.0 if top == 0.0 else 0.0
         lasting = {"mass_budget", "volume_budget", "minimum_principle"}
-        known = promises if coefficient is None and refresh is None else FOR_ANY_FACTOR
-        self.promises = {
-            name: kept for name, kept in promises.items()
-            if kept and name in known and (not inflow or name in lasting) and (self.sign or name != "signs")
+        known = guarantees if coefficient is None and refresh is None else FOR_ANY_FACTOR
+        self.guarantees = {
+            name: accuracy for name, accuracy in guarantees.items()
+            if accuracy and name in known and (not inflow or name in lasting) and (self.sign or name != "signs")
             and (flux or name not in ("flux_maximum", "flux_variation", "kruzkov"))
         }  # fmt: skip
         if not inflow:
@@ -116,91 +118,91 @@ class BoundsMonitor:
                 self.highest = float(np.max(law.R(q) + np.maximum(W[1:], W[:-1]) - W[0])) + minus - self.R0
             self.ln_K_bound_above = float(law.derivative(0.0)) * plus
             self.ln_K_bound_below = float(law.derivative(self.floor)) * minus
-        self.worst = np.tile([np.inf, np.nan, np.nan], (len(self.promises), 1))  # margin, time, x
+        self.worst = np.tile([np.inf, np.nan, np.nan], (len(self.guarantees), 1))  # margin, time, x
         self.first_volume = np.nan
         self.eroded_volume = self.toe_outflow = self.crest_lowering = self.budget_allowance = 0.0
         self.budget_error = 0.0 if coefficient is None else np.nan
-        # sup|F| and TV(F) when they were last seen
+        # sup|F| and TV(F) of the last observation
         self.lasting = flux if flux and flux.lasting and coefficient is not None and coefficient.steady else None
         self.flux_seen = (np.inf, np.inf)
-        self.t = self.rate = self.swell = self.growth_allowed = 0.0
-        self.looked, self.froze = 0, -self.FROZEN_STEPS
+        self.t = self.rate = self.tv_source = self.growth_allowed = 0.0
+        self.steps_observed, self.steps_frozen = 0, -self.FROZEN_STEPS
         self.ln_K = np.zeros(grid.cells + 1)
 
     def wants(self, state: State) -> bool:
-        return state.steps - self.looked >= self.STEPS or state.t - self.t >= self.pause
+        return state.steps - self.steps_observed >= self.STEPS or state.t - self.t >= self.pause
 
     def observe(self, state: State) -> None:
-        """Raises Halt, see above."""
+        """Update the margins of all bounds. Raise Halt if a bound that stops a run is violated."""
         q, dx, t, grid = state.q, self.grid.dx, state.t, self.grid
         ln_K = self.ln_K[: q.size + 1]
-        mass, norm, least, most, variation, ln_K_min, ln_K_max, settled, swell = watch.survey(q, dx, state.law, ln_K)
-        variation += 0.0 if self.inflow else abs(float(q[0]))  # the slope is critical left of the cells that are given
-        rate = dx * (settled + state.speed * variation)
+        mass, norm, least, most, variation, ln_K_min, ln_K_max, K_f2, tv_source = watch.survey(q, dx, state.law, ln_K)
+        variation += 0.0 if self.inflow else abs(float(q[0]))  # the slope is neutral left of these cells
+        rate = dx * (K_f2 + state.speed * variation)
         if np.isnan(self.first_volume):
             self.first_volume = state.volume()
         else:
             self.budget_allowance += 0.5 * (t - self.t) * (self.rate + rate)
-            with np.errstate(over="ignore"):  # how K differs across a cell; inf, and nothing is promised, near q = -1
-                across = np.exp(dx * np.abs(self.law.f(np.array([least, most]))).max())
-            self.growth_allowed += (t - self.t) * max(self.swell, swell) * across
-        self.t, self.rate, self.swell, self.looked = t, rate, swell, state.steps
+            with np.errstate(over="ignore"):  # ratio of K across a cell; inf near q = -1, where no bound applies
+                K_ratio = np.exp(dx * np.abs(self.law.f(np.array([least, most]))).max())
+            self.growth_allowed += (t - self.t) * max(self.tv_source, tv_source) * K_ratio
+        self.t, self.rate, self.tv_source, self.steps_observed = t, rate, tv_source, state.steps
 
-        rounding = ROUNDING * (self.scale + state.crest_lowering + self.inflow * t)
-        smear = dx * variation
-        self.crest_lowering, self.toe_outflow = state.crest_lowering, t + state.growth
+        rounding = ROUNDOFF * (self.scale + state.crest_lowering + self.inflow * t)
+        dx_tv = dx * variation
+        self.crest_lowering, self.toe_outflow = state.crest_lowering, t + state.toe_gain
         self._record("mass_budget", rounding, mass - self.mass + state.crest_lowering - self.inflow * t)
         self.eroded_volume = self.first_volume - state.volume()
-        off = abs(self.eroded_volume - state.growth)
+        off = abs(self.eroded_volume - state.toe_gain)
         self.budget_error = max(self.budget_error, off)
-        small = ROUNDING * (1.0 + abs(state.growth) + t + abs(self.first_volume))
-        exactly = self.promises.get("volume_budget") == EXACT
+        small = ROUNDOFF * (1.0 + abs(state.toe_gain) + t + abs(self.first_volume))
+        exactly = self.guarantees.get("volume_budget") == EXACT
         self._record("volume_budget", small + (0.0 if exactly else self.budget_allowance), off)
 
         def place(index: int) -> float:
             return float(grid.centres[state.first + index])
 
-        self._record("minimum_principle", ROUNDING, self.floor - least, smear, lambda: place(int(np.argmin(q))))
+        self._record("minimum_principle", ROUNDOFF, self.floor - least, dx_tv, lambda: place(int(np.argmin(q))))
         if self.inflow:
             return self._judge(state)
         wrong = -least if self.sign > 0 else most
-        self._record("signs", ROUNDING, wrong, smear, lambda: place(int(np.argmax(-self.sign * q))))
-        self._record("l1_decay", rounding, norm - self.norm, smear)
+        self._record("signs", ROUNDOFF, wrong, dx_tv, lambda: place(int(np.argmax(-self.sign * q))))
+        self._record("l1_decay", rounding, norm - self.norm, dx_tv)
         self.norm = min(norm, self.norm)
         self._record(
-            "factor_bounds", self.ln_K_bound_above + rounding, ln_K_max, smear, lambda: place(int(np.argmax(ln_K[:-1])))
+            "factor_bounds", self.ln_K_bound_above + rounding, ln_K_max, dx_tv, lambda: place(int(np.argmax(ln_K[:-1])))
         )
         self._record(
-            "factor_bounds", self.ln_K_bound_below + rounding, -ln_K_min, smear,
+            "factor_bounds", self.ln_K_bound_below + rounding, -ln_K_min, dx_tv,
             lambda: place(int(np.argmin(ln_K[:-1]))),
         )  # fmt: skip
         above = float(self.law.R(most)) - self.R0
-        self._record("upper_bound", self.highest + rounding, above, smear, lambda: place(int(np.argmax(q))))
-        grown = variation - self.variation
+        self._record("upper_bound", self.highest + rounding, above, dx_tv, lambda: place(int(np.argmax(q))))
+        gain = variation - self.variation
         self._record(
-            "tv_growth", self.growth_allowed + rounding, grown, smear, lambda: place(int(np.argmax(np.abs(np.diff(q)))))
+            "tv_growth", self.growth_allowed + rounding, gain, dx_tv, lambda: place(int(np.argmax(np.abs(np.diff(q)))))
         )
-        if "kruzkov" in self.promises and state.dt > 0.0 and state.steps - self.froze >= self.FROZEN_STEPS:
-            self.froze = state.steps
+        if "kruzkov" in self.guarantees and state.dt > 0.0 and state.steps - self.steps_frozen >= self.FROZEN_STEPS:
+            self.steps_frozen = state.steps
             self._freeze(state, np.exp(ln_K) if state.K is None else state.K, most, place)
-        if "flux_maximum" in self.promises and self.lasting and state.K is not None:
+        if "flux_maximum" in self.guarantees and self.lasting and state.K is not None:
             F = watch.frozen_step(q, state.K, dx, 0.0, state.law, self.lasting.kernel(state.bound))[1]
             self._compare(F, *self.flux_seen, float(state.K.max()))
             self.flux_seen = float(np.abs(F).max()), float(np.abs(np.diff(F)).sum())
         return self._judge(state)
 
     def _compare(self, F: Array, most: float, variation: float, ln_K_max: float) -> None:
-        """sup|F| and TV(F) with what they were before."""
+        """Compare sup|F| and TV(F) with their values before."""
         # rounding of F, and of the differences of K that telescoping fluxes divide by dx
-        rounding = ROUNDING * float(np.abs(F).max()) + 1e-15 * ln_K_max / self.grid.dx
+        rounding = ROUNDOFF * float(np.abs(F).max()) + 1e-15 * ln_K_max / self.grid.dx
         self._record("flux_maximum", rounding, float(np.abs(F).max()) - most)
         varied = float(np.abs(np.diff(F)).sum())
-        self._record("flux_variation", F.size * rounding + ROUNDING * varied, varied - variation)
+        self._record("flux_variation", F.size * rounding + ROUNDOFF * varied, varied - variation)
 
     def _freeze(self, state: State, K: Array, most: float, place: Callable[[int], float]) -> None:
-        """One step with K frozen, from q and from its maximum and minimum with a constant."""
+        """Check one step with K frozen, from q and from its maximum and minimum with a constant."""
         q, dx = state.q, self.grid.dx
-        # what moves in the step meets K and f' nearby, and that must not make it longer than the method's own
+        # the CFL number of the step, with K and f' of the neighbouring cells, must not exceed that of the method
         nearby = watch.fastest_nearby(q, K, state.law)
         assert self.flux is not None
         dt, flux = state.dt * min(state.speed / nearby, 1.0), self.flux.kernel(max(state.bound, nearby))
@@ -210,28 +212,29 @@ class BoundsMonitor:
 
         after, F = step(q)
         self._compare(step(after)[1], float(np.abs(F).max()), float(np.abs(np.diff(F)).sum()), float(K.max()))
-        # a different cell's slope each time; low slopes would need shorter steps where K is large
+        # the slope of another cell each time; small slopes would need shorter steps if K is large
         alpha = float(q[int(q.size * (0.618 * (state.steps + 1) % 1.0))])
         if float(K.max()) * float(self.law.derivative(alpha)) > state.speed:
             alpha = most
         steps = [step(y)[0] for y in (np.full(q.size, alpha), np.maximum(q, alpha), np.minimum(q, alpha))]
-        excess = (np.abs(after - steps[0]) - (steps[1] - steps[2]))[1:-1]  # what enters at the ends is given
+        excess = (np.abs(after - steps[0]) - (steps[1] - steps[2]))[1:-1]  # the flux at the ends is prescribed
         worst = int(np.argmax(excess))
-        self._record("kruzkov", ROUNDING * (1.0 + most), float(excess[worst]), 0.0, lambda: place(worst + 1))
+        self._record("kruzkov", ROUNDOFF * (1.0 + most), float(excess[worst]), 0.0, lambda: place(worst + 1))
 
     def _record(
-        self, name: str, allowed: float, excess: float, smear: float = 0.0, place: Callable[[], float] = lambda: np.nan
+        self, name: str, allowed: float, excess: float, dx_tv: float = 0.0, place: Callable[[], float] = lambda: np.nan
     ) -> None:
-        """Keeps the worst margin; `smear` is allowed beside where the method keeps the bound to first order only."""
-        if name not in self.promises:
+        """Record the worst margin; `dx_tv` is an additional allowance of bounds that hold to first order."""
+        if name not in self.guarantees:
             return
-        allowed += smear if self.promises[name] == FIRST_ORDER else 0.0
+        allowed += dx_tv if self.guarantees[name] == FIRST_ORDER else 0.0
         margin = 1.0 - max(abs(excess) if name == "mass_budget" else excess, 0.0) / allowed
-        row = self.worst[list(self.promises).index(name)]
+        row = self.worst[list(self.guarantees).index(name)]
         if not margin >= row[0]:
             row[:] = margin, self.t, place()
 
     def _judge(self, state: State) -> None:
+        """Raise Halt if a violated bound stops the run."""
         for name, verdict in self.bounds.items():
             stopping = name in STOPPING and verdict.allowance == EXACT
             if not verdict.holds and verdict.time == state.t and (self.strict or stopping):
@@ -239,9 +242,9 @@ class BoundsMonitor:
 
     @property
     def bounds(self) -> dict[str, Verdict]:
-        """A verdict on each bound that was looked at."""
+        """A verdict on each observed bound."""
         return {
-            name: Verdict(margin >= 0.0, margin, t, x, kept)
-            for (name, kept), (margin, t, x) in zip(self.promises.items(), self.worst.tolist(), strict=True)
+            name: Verdict(margin >= 0.0, margin, t, x, accuracy)
+            for (name, accuracy), (margin, t, x) in zip(self.guarantees.items(), self.worst.tolist(), strict=True)
             if margin != np.inf  # a NaN does not hold
         }

@@ -1,7 +1,7 @@
-"""A law as the grid solvers use it: the rational law by its formula, any other as a table made once per run.
+"""Erosion law of the grid solvers: the rational law by its formula, any other as a table made once per run.
 
-A table costs the same for every law, needs no compilation, and is made of the values of f, so that it cannot outlive
-an edited law. It is exact to about 1e-11 of the scale of f where f is three times differentiable.
+A table costs the same for every law, needs no compilation, and is computed from the values of f, so it cannot outlive
+an edited law. Its error is about 1e-11 of the scale of f if f is three times differentiable.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ import numpy as np
 from hjprofile.problem.erosion import Array, ErosionLaw, Function
 from hjprofile.solvers.grids.kernels.sweep_law import PIECES, SHIFT, Linear, Rational, Tabulated, values
 
-HEADROOM = 5  # binades of 1 + q that a table has above the data: q grows along characteristics
-STEEPEST = 32  # binades of 1 + q that a law of linear growth is tabulated for: a jump of u in one cell is m/Δx
+HEADROOM = 5  # binades of 1 + q in a table above the data, because q grows along characteristics
+STEEPEST = 32  # binades of 1 + q in the table of a law of linear growth: a jump of u in one cell is q = m/Δx
 
 
 @dataclass(frozen=True)
 class GridLaw:
-    """f and f' for arrays, and `kernel`, what the compiled loops take; they hold for slopes up to `q_most`."""
+    """f and f' for arrays, and `kernel`, the form for compiled loops; valid for slopes up to `q_most`."""
 
     law: ErosionLaw
     f: Function
@@ -28,12 +28,12 @@ class GridLaw:
     q_most: float
 
     def covering(self, q: Array) -> GridLaw:
-        """The law for slopes that have come to q: itself, or a wider table with the same values."""
+        """Return the law for slopes that have reached q: itself, or a wider table with the same values."""
         return self if 4.0 * np.max(q) < self.q_most else grid_law(self.law, q)
 
 
 def grid_law(law: ErosionLaw, q: Array) -> GridLaw:
-    """The law for runs from data q; all slopes from the least of q on, and up to 2^HEADROOM times the largest 1 + q."""
+    """Return the law for runs from data q, for slopes from the smallest q up to 2^HEADROOM times the largest 1 + q."""
     if law.name == "rational":
         return GridLaw(law, law.f, law.derivative, Rational(), np.inf)
     least, most = min(float(np.min(q)), 0.0), max(float(np.max(q)), 0.0)
@@ -45,7 +45,7 @@ def grid_law(law: ErosionLaw, q: Array) -> GridLaw:
     h = np.diff(ends)
     with np.errstate(all="ignore"):
         at_ends, slopes = np.array(law.f(ends - 1.0)), law.derivative(ends - 1.0)
-    at_ends[np.searchsorted(ends, 1.0)] = 0.0  # f(0) = 0: a critical slope must stay
+    at_ends[np.searchsorted(ends, 1.0)] = 0.0  # f(0) = 0: the neutral slope must not change
     c0, c1 = at_ends[:-1].copy(), slopes[:-1].copy()
     c2, d1 = (np.diff(at_ends) / h - c1) / h, np.diff(slopes) / h
 
@@ -61,6 +61,7 @@ def grid_law(law: ErosionLaw, q: Array) -> GridLaw:
 
 
 def _values(q: Array, kernel: Tabulated) -> tuple[Array, Array]:
+    """Return f and f' at q from the table."""
     f, df = np.empty(q.shape), np.empty(q.shape)
     values(q.ravel(), kernel, f.ravel(), df.ravel())
     return f, df

@@ -1,4 +1,4 @@
-"""One run of a method on a grid: the scheme, what watches it, and the result."""
+"""Run of a method on a grid: the scheme, its monitors, and the result."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ def solve_on_grid(
     problem: Problem, grid: Grid, method: Method, cfl: float, progress: Progress | None,
     strict: bool = False, keeper: Keeper | None = None, refresh: float | None = None, identity: Mapping = NOBODY,
 ) -> Run:  # fmt: skip
-    """Run a method on a grid, watched; `identity` distinguishes a keeper's checkpoints from those of other runs."""
+    """Run a method on a grid, with monitors; `identity` distinguishes the checkpoints of the run from others."""
     cfl, setup = number("cfl", cfl), method.setup_for(problem)
     scheme = setup.scheme(problem, grid, refresh)
-    bounds = BoundsMonitor(problem, grid, scheme.W, setup.promises, method.flux, strict, scheme.factor.refresh)
+    bounds = BoundsMonitor(problem, grid, scheme.W, setup.guarantees, method.flux, strict, scheme.factor.refresh)
     extension = setup.extension(problem, grid, scheme) if setup.extension else None
     tracker = KinkTracker(problem.law, grid, extension.hidden) if extension else KinkTracker(problem.law, grid)
     watching: dict[str, Monitor] = {"bounds": bounds, "kinks": tracker, **(extension.monitors if extension else {})}
     case = resolved_case(problem, grid, method.name, cfl, refresh=scheme.factor.refresh)
-    record = march(scheme, problem, grid, cfl, watching, progress, tracker.happened, keeper, identity)
+    record = march(scheme, problem, grid, cfl, watching, progress, tracker.kinks_changed, keeper, identity)
     kinks, events = tracker.result(record.times)
     u = record.W
     u += grid.nodes

@@ -1,7 +1,7 @@
-"""The Hamilton-Jacobi equation u_t + K f(u_x - 1) = 0 on nodes.
+"""Schemes for the Hamilton-Jacobi equation u_t + K f(u_x - 1) = 0 on nodes.
 
-The unknown is W = u - x, which has the same equation and less rounding than u. With q on the cells the difference
-quotients of W and F the numerical flux, a step is W_i -= Δt F_i (theory, §2).
+The unknown is W = u - x, which satisfies the same equation with less rounding than u. With q the difference quotients
+of W on the cells and F the numerical flux, a step is W_i -= Δt F_i (theory, §2).
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from hjprofile.solvers.grids.grid_law import GridLaw
 from hjprofile.solvers.grids.high_order import HighOrder
 from hjprofile.solvers.grids.kernels import grid_loops as kernels
 from hjprofile.solvers.grids.kernels import wavefront
-from hjprofile.solvers.grids.scheme import BESIDE
+from hjprofile.solvers.grids.scheme import HALO
 from hjprofile.solvers.run import Array
 
 
 class HamiltonJacobi:
     """A first-order scheme for W = u - x with a numerical flux and forward Euler steps, many of them in one sweep."""
 
-    memory: tuple[str, ...] = ("W", "active", "growth", "crest_lowering")
+    checkpoint_fields: tuple[str, ...] = ("W", "active", "toe_gain", "crest_lowering")
 
     def __init__(
         self, law: GridLaw, grid: Grid, W: Array, flux: Flux, inflow: float = 0.0, factor: Factor | None = None
@@ -32,8 +32,8 @@ class HamiltonJacobi:
         self.factor = factor or Factor(grid)
         self.W, self.before = W.copy(), W.copy()
         self.q, self.K = np.empty(grid.cells), np.ones(grid.cells + 1)
-        self.growth = self.crest_lowering = 0.0
-        # the first and the last node where W is not what it is at that end
+        self.toe_gain = self.crest_lowering = 0.0
+        # the first and the last node at which W differs from its value at that end
         self.active = kernels.flat_ends(self.W, 0, grid.cells, W[0], W[-1])
 
     def evaluate(self) -> float:
@@ -42,37 +42,37 @@ class HamiltonJacobi:
         return speed
 
     def means(self) -> tuple[int, Array]:
-        a, b = max(self.active[0] - BESIDE, 0), min(self.active[1] + BESIDE, self.grid.cells)
+        a, b = max(self.active[0] - HALO, 0), min(self.active[1] + HALO, self.grid.cells)
         np.divide(np.diff(self.W[a : b + 1]), self.grid.dx, out=self.q[a:b])
         return a, self.q[a:b]
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
         n = self.grid.cells
         a, b = max(self.active[0] - steps - 2, 0), min(self.active[1] + steps + 2, n)
-        self.kept = a, b, self.active, self.growth, self.crest_lowering
+        self.saved_state = a, b, self.active, self.toe_gain, self.crest_lowering
         W = self.W[a : b + 1]
         self.before[a : b + 1] = W
         inflow = self.inflow if a == 0 else 0.0
-        factor, idle = self.factor.window(self.law, dt * np.arange(steps), a, b)
-        speed, grown = wavefront.hj_pass(
+        factor, speed_outside = self.factor.window(self.law, dt * np.arange(steps), a, b)
+        speed, toe_gain = wavefront.hj_pass(
             W, self.grid.dx, dt, steps, inflow, self.law.kernel, self.flux.kernel(bound), factor
         )
-        self.growth += grown
+        self.toe_gain += toe_gain
         self.crest_lowering += float(self.before[b] - W[-1])
         self.active = kernels.flat_ends(self.W, a, b, self.W[0], self.W[-1])
-        return max(float(speed), idle)
+        return max(float(speed), speed_outside)
 
-    def restore(self) -> None:
-        a, b, self.active, self.growth, self.crest_lowering = self.kept
+    def roll_back(self) -> None:
+        a, b, self.active, self.toe_gain, self.crest_lowering = self.saved_state
         self.W[a : b + 1] = self.before[a : b + 1]
 
     def volume(self) -> float:
-        """Node 0 left out: its flux is the inflow, so that for the telescoping flux the sum changes by K - 1."""
+        """Return the sum without node 0, whose flux is the inflow, so the telescoping flux changes it by K - 1."""
         return self.grid.dx * float(np.sum(self.W[1:]))
 
 
 class HighOrderHamiltonJacobi(HighOrder):
-    """W_t = -F with F = K f(q⁻) and q⁻ reconstructed from the difference quotients of W."""
+    """The scheme W_t = -F with F = K f(q⁻) and q⁻ reconstructed from the difference quotients of W."""
 
     @property
     def W(self) -> Array:

@@ -1,7 +1,7 @@
 """Reconstructions of second and fifth order with strong-stability-preserving Runge-Kutta steps.
 
-Upwind fluxes F = K f(q⁻) with q⁻ from the left of each node; K at the order of the scheme and anew in every stage.
-The state is W on the nodes or q on the cells: the two forms share what is done here and differ in their rates.
+The upwind flux is F = K f(q⁻) with q⁻ on the left of each node; K has the order of the scheme and is computed in every
+stage. The state is W on the nodes or q on the cells. The two forms share this module and differ in their rates.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from hjprofile.problem.grid import Grid
 from hjprofile.solvers.grids.factor import Factor
 from hjprofile.solvers.grids.grid_law import GridLaw
 from hjprofile.solvers.grids.kernels import grid_loops as kernels
-from hjprofile.solvers.grids.scheme import BESIDE, Restorable
+from hjprofile.solvers.grids.scheme import HALO, WithRollback
 from hjprofile.solvers.run import Array, Breakdown
 
 Rate = Callable[[Array], Array]
 
 
-# Written for the increment d, so that what does not change does not change by rounding either
+# The steps add an increment d, so a constant value does not change by rounding
 def ssp_rk2(y: Array, rate: Rate, dt: float) -> Array:
-    """Heun's method."""
+    """Return y after a step of Heun's method."""
     d = dt * rate(y)
     return y + 0.5 * (d + dt * rate(y + d))
 
 
 def ssp_rk4(y: Array, rate: Rate, dt: float) -> Array:
-    """Ketcheson's ten stages of fourth order (SIAM J. Sci. Comput. 30, 2008, algorithm 3)."""
+    """Return y after a step of Ketcheson's fourth-order method of ten stages (SIAM J. Sci. Comput. 30, 2008)."""
     d = dt / 6.0 * rate(y)
     for _ in range(4):
         d += dt / 6.0 * rate(y + d)
@@ -42,29 +42,29 @@ def ssp_rk4(y: Array, rate: Rate, dt: float) -> Array:
 
 
 class Order(NamedTuple):
-    """What goes together in a scheme: a reconstruction, a quadrature for K, and a time step with its limit."""
+    """The components of a scheme: a reconstruction, a quadrature for K, and a time step with its limit."""
 
     edges: Callable[[Array, Array], None]
     high_quadrature: bool
     step: Callable[[Array, Rate, float], Array]
     stages: int
     cfl_limit: float
-    cfl_proved: float  # up to which theory proves the bounds for any data
+    cfl_proved: float  # largest CFL number with bounds proved for any data
 
 
 ORDERS: Mapping[str, Order] = MappingProxyType(
     {
         "eno2": Order(kernels.edges_eno2, False, ssp_rk2, 2, 0.5, 0.5),
-        # monotone for linear data up to 6; smooth waves gain nothing from steps longer than this
+        # monotone for linear data up to 6; on smooth waves longer steps than this gain nothing
         "weno5": Order(kernels.edges_weno5, True, ssp_rk4, 10, 2.5, np.nan),
     }
 )
 
 
-class HighOrder(Restorable):
-    """A scheme of the method of lines on the part of the grid where anything happens."""
+class HighOrder(WithRollback):
+    """A scheme of the method of lines on the active part of the grid."""
 
-    memory: tuple[str, ...] = ("state", "active", "growth", "crest_lowering")
+    checkpoint_fields: tuple[str, ...] = ("state", "active", "toe_gain", "crest_lowering")
 
     def __init__(self, law: GridLaw, grid: Grid, state: Array, order: str, inflow: float, factor: Factor | None = None):
         self.law, self.grid, self.order, self.inflow = law, grid, ORDERS[order], inflow
@@ -72,19 +72,19 @@ class HighOrder(Restorable):
         self.cfl_limit = self.order.cfl_limit
         self.state = state.copy()
         self.q, self.K = np.empty(grid.cells), np.ones(grid.cells + 1)
-        self.growth = self.crest_lowering = 0.0
+        self.toe_gain = self.crest_lowering = 0.0
         self.active = self._flat_ends(0, self.state.size - 1)
 
     def _means(self, state: Array) -> Array:
-        """The cell means."""
+        """Return the cell means."""
         raise NotImplementedError
 
     def _rate(self, F: Array) -> Array:
-        """The state's rate of change from F at the nodes."""
+        """Return the rate of change of the state from F at the nodes."""
         raise NotImplementedError
 
     def _flat_ends(self, first: int, last: int) -> tuple[int, int]:
-        """The first and the last entry of the state that belong to a slope that is not critical."""
+        """Return the first and the last active entry of the state."""
         raise NotImplementedError
 
     def evaluate(self) -> float:
@@ -96,12 +96,12 @@ class HighOrder(Restorable):
 
     def means(self) -> tuple[int, Array]:
         nodes = self.state.size - self.grid.cells
-        a, b = max(self.active[0] - BESIDE, 0), min(self.active[1] + 1 + BESIDE, self.grid.cells)
+        a, b = max(self.active[0] - HALO, 0), min(self.active[1] + 1 + HALO, self.grid.cells)
         self.q[a:b] = self._means(self.state[a : b + nodes])
         return a, self.q[a:b]
 
     def _fluxes(self, q: Array, inflow: float, K: Array, given: Array | None) -> tuple[Array, Array]:
-        """F at the nodes and q on their left, from q on the cells; fills K, by q or as it is given."""
+        """Return F at the nodes and q on their left, from q on the cells; fill K from q, or as prescribed."""
         g = kernels.GHOSTS
         padded = np.empty(q.size + 2 * g)
         padded[g:-g] = q
@@ -119,25 +119,25 @@ class HighOrder(Restorable):
         return F, edges
 
     def _speed(self, q: Array, edges: Array, K: Array, first: int = 0) -> float:
-        """The largest K f'. Raises Breakdown if there is none."""
+        """Return the largest K f'. Raise Breakdown if it is not finite and positive."""
         speed = float(kernels.fastest(K, self.law.derivative(np.minimum(q, edges[1:]))))
         if not 0.0 < speed < np.inf:
             raise Breakdown(q, K, first)
         return speed
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
-        self.keep()
+        self.save()
         self.state = self.state.copy()
         return max(self._step(dt, step * dt) for step in range(steps))
 
     def _step(self, dt: float, start: float) -> float:
-        """One time step that begins `start` from now; returns the largest K f' before it."""
+        """Advance by one time step that begins `start` from now; return the largest K f' before it."""
         cells, nodes = self.grid.cells, self.state.size - self.grid.cells
-        reach = kernels.GHOSTS * self.order.stages + 6  # what a step can touch, and six nodes for a quadrature
+        reach = kernels.GHOSTS * self.order.stages + 6  # stencil of a step, and six nodes for a quadrature
         a, b = max(self.active[0] - reach, 0), min(self.active[1] + 1 + reach, cells)
         inflow = self.inflow if a == 0 else 0.0
         K = np.ones(b - a + 1)
-        idle = self.factor.window(self.law, np.array([start]), a, b)[1]
+        speed_outside = self.factor.window(self.law, np.array([start]), a, b)[1]
         speeds: list[float] = []
 
         def rate(y: Array) -> Array:
@@ -146,14 +146,14 @@ class HighOrder(Restorable):
                 raise Breakdown(q, K, a)
             F, edges = self._fluxes(q, inflow, K, self.factor.given(start + y[-1], slice(a, b + 1)))
             if not speeds:  # of states, not of stages
-                speeds.append(max(self._speed(q, edges, K, a), idle))
+                speeds.append(max(self._speed(q, edges, K, a), speed_outside))
             return np.concatenate([self._rate(F), [K[0] - 1.0, F[-1], 1.0]])
 
         part = slice(a, b + nodes)
-        # the last is time, which thereby is at every stage what it is to be
-        y = self.order.step(np.concatenate([self.state[part], [self.growth, self.crest_lowering, 0.0]]), rate, dt)
+        # the last entry is the time, so each stage has its own
+        y = self.order.step(np.concatenate([self.state[part], [self.toe_gain, self.crest_lowering, 0.0]]), rate, dt)
         self.state[part] = y[:-3]
-        self.growth, self.crest_lowering = float(y[-3]), float(y[-2])
+        self.toe_gain, self.crest_lowering = float(y[-3]), float(y[-2])
         self.active = self._flat_ends(a, b + nodes - 1)
         return speeds[0]
 
@@ -162,5 +162,5 @@ class HighOrder(Restorable):
 
     @property
     def W(self) -> Array:
-        """u - x on the nodes."""
+        """The heights u - x on the nodes."""
         raise NotImplementedError

@@ -1,4 +1,4 @@
-"""Kinks followed through time: numbered for life, their births, merges and exits."""
+"""Tracking of kinks through time: permanent numbers, births, merges and exits."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import numpy as np
 
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
-from hjprofile.solvers.grids.kernels.find_kinks import WIDEST, find_kinks
+from hjprofile.solvers.grids.kernels.find_kinks import WIDEST_SHOCK, find_kinks
 from hjprofile.solvers.run import Array, Event, KinkRecord, State, in_order
 
 Speed = Callable[["Sighting"], float]
 
-MEMORY = 10  # sightings at most from which a merge is dated
-NEARBY = 40  # cells within which the sightings lie from which a speed is measured or a merge is dated; ...
-FEWEST = 6  # ... for a speed those nearest, if they are fewer
-SCATTER = 0.005  # most that a sighting may be off the curve, as a part of the way: the speed is then off by 1 % or less
-LEAST_SPAN = 12  # cells over which a speed is measured: a position scatters by some 0.05 of a cell
-BACK = 2  # cells by which a kink may seem to go downhill: its place is known to 0.3 to 1.9 in the mean (theory, Kinks)
-LEAST_LIFE = 3  # sightings that make a kink still in sight at the end ...
-LEAST_WAY = 6  # ... and cells that any other crosses: a rise that ends within fewer is a flicker of the threshold
+SIGHTINGS_OF_MERGE = 10  # largest number of sightings from which a merge is dated
+NEARBY = 40  # cells, the range of sightings from which a speed is measured or a merge is dated
+FEWEST_SIGHTINGS = 6  # smallest number of sightings for a speed; the nearest ones if fewer lie within NEARBY
+SCATTER = 0.005  # largest residual of the fit as a fraction of the distance; the error of the speed is then at most 1 %
+LEAST_SPAN = 12  # cells, smallest range for a speed: positions scatter by about 0.05 cells
+SCATTER_BACK = 2  # cells by which a kink may appear to move downslope: its mean error is 0.3 to 1.9 (theory, Kinks)
+LEAST_LIFE = 3  # sightings that define a kink which is still resolved at the end
+LEAST_WAY = 6  # cells that any other kink crosses; shorter paths are caused by the detection threshold
 
 
 class Sighting(NamedTuple):
-    """A kink found at one moment."""
+    """A kink found in one state."""
 
     x: float
     q_left: float
@@ -35,12 +35,13 @@ class Sighting(NamedTuple):
 
     @property
     def jump(self) -> float:
+        """The jump of q."""
         return self.q_right - self.q_left
 
 
 @dataclass(eq=False)
 class _Path:
-    """One kink through time; numbers are given when all paths are known."""
+    """One kink through time; numbers are assigned when all paths are known."""
 
     born: bool = False
     number: int = 0
@@ -50,11 +51,12 @@ class _Path:
     into: _Path | None = None
 
     def add(self, t: float, sighting: Sighting) -> None:
+        """Append a sighting."""
         self.times.append(t)
         self.sightings.append(sighting)
 
     def join(self, other: _Path, paths: list[_Path]) -> None:
-        """Takes over what was seen later of the same kink."""
+        """Append the later sightings of the same kink, stored as another path."""
         paths.remove(other)
         rows = sorted(zip(self.times + other.times, self.sightings + other.sightings, strict=True), key=lambda r: r[0])
         self.times, self.sightings = [t for t, _ in rows], [s for _, s in rows]
@@ -63,7 +65,7 @@ class _Path:
                 p.into = self
 
     def seniority(self, t: float) -> tuple[bool, float]:
-        """Return the rank of a kink at t. Of two that merge the lower lives on: that of the start, or else the left."""
+        """Return the rank of a kink at t. The lower rank survives a merge: kinks of the data, then from the left."""
         return self.born, float(np.interp(t, self.times, [s.x for s in self.sightings]))
 
     def place(self, t: float) -> float:
@@ -74,12 +76,13 @@ class _Path:
 
 
 class KinkTracker:
-    """A monitor that finds the kinks of every state it sees and links the sightings into paths.
+    """A monitor that finds the kinks of every observed state and links the sightings into paths.
 
-    `hidden` tells stretches (left, right) of a state in which what looks like a kink is none: the layers of steps.
+    `hidden` returns the intervals (left, right) of a state that contain no kinks: the numerical layers of vertical
+    steps.
     """
 
-    memory: tuple[str, ...] = ("table",)
+    checkpoint_fields: tuple[str, ...] = ("table",)
 
     def __init__(
         self, law: ErosionLaw, grid: Grid, hidden: Callable[[State], Sequence[tuple[float, float]]] = lambda state: ()
@@ -91,14 +94,16 @@ class KinkTracker:
     def wants(self, state: State) -> bool:
         return True
 
-    def happened(self, state: State) -> bool:
-        """Whether there are more or fewer kinks than when they were last observed."""
-        return len(self._look(state)) != len(self.frames[-1][1])
+    def kinks_changed(self, state: State) -> bool:
+        """Return True if the number of kinks has changed since the last observation."""
+        return len(self._kinks_of(state)) != len(self.frames[-1][1])
 
     def observe(self, state: State) -> None:
-        self.frames.append((state.t, self._look(state)))
+        """Append the kinks of a state."""
+        self.frames.append((state.t, self._kinks_of(state)))
 
-    def _look(self, state: State) -> list[Sighting]:
+    def _kinks_of(self, state: State) -> list[Sighting]:
+        """Return the kinks of a state."""
         if self.latest[0] != state.t:
             rows = find_kinks(state.q, float(self.grid.nodes[state.first]), self.grid.dx, state.law)
             if state.K is not None:
@@ -124,12 +129,12 @@ class KinkTracker:
             if not np.isnan(seen[0]):
                 self.frames[-1][1].append(Sighting(*seen))
 
-    def result(self, kept: Array) -> tuple[list[KinkRecord], list[Event]]:
-        """Kinks at the kept times, and the events of the whole run."""
+    def result(self, saved_times: Array) -> tuple[list[KinkRecord], list[Event]]:
+        """Return the kinks at the saved times, and the events of the whole run."""
         paths = link(self.frames, self.grid.dx, self._speed)
         turns = {id(p): sorted(o.end.time for o in paths if o.into is p and o.end) for p in paths}
         records = []
-        for t in kept:
+        for t in saved_times:
             left = [p for p in paths if p.end and p.end.event == "exit" and p.end.time <= t]
             rows = [(p, p.times.index(t)) for p in paths if t in p.times and p not in left]
             for path, i in sorted(rows, key=lambda row: row[0].sightings[row[1]].x):
@@ -143,7 +148,7 @@ class KinkTracker:
         return records, events_of(paths, self.frames[-1][0])
 
     def _speed(self, s: Sighting) -> float:
-        """Rankine-Hugoniot: K [f]/[q]."""
+        """Return the Rankine-Hugoniot speed K [f]/[q]."""
         return s.K * float(self.law.f(s.q_right) - self.law.f(s.q_left)) / s.jump
 
 
@@ -155,7 +160,7 @@ def link(frames: Sequence[tuple[float, list[Sighting]]], dx: float, speed: Speed
     unresolved for a while: where two shocks touch, their common rise can be too wide to count as one.
     """
     paths: list[_Path] = []
-    living: list[_Path] = []  # with those that are out of sight
+    living: list[_Path] = []  # including unresolved ones
     for n, (t, sightings) in enumerate(frames):
         claims = _claims(living, t, sightings, dx, speed)
         _untangle(claims, sightings)
@@ -182,31 +187,34 @@ def link(frames: Sequence[tuple[float, list[Sighting]]], dx: float, speed: Speed
     _merge_lost(paths, end, dx, speed)
     for path in paths:
         if path.into:
-            _settle(path, end, dx)
+            _assign_merge(path, end, dx)
     return _without_flicker(paths, end, dx)
 
 
 def _meet(other: _Path, path: _Path, paths: list[_Path], dx: float, speed: Speed) -> None:
-    """Two paths that go on as one: a merge, or one kink that was out of sight for a while."""
+    """Join two paths that continue as one: by a merge, or as one kink that was unresolved for a while."""
     if set(other.times) & set(path.times):
         _merge(other, path, dx, speed)
-    else:  # never seen side by side
+    else:  # never observed at the same time
         path.join(other, paths)
 
 
 def _claims(
     living: Sequence[_Path], t: float, sightings: Sequence[Sighting], dx: float, speed: Speed
 ) -> dict[int, list[_Path]]:
-    """Sighting -> the paths that go on with it: the nearest to where a path should be, and none downhill of it.
+    """Return, for each sighting, the paths that continue with it.
 
-    A path that was out of sight has no claim beyond its neighbours that were not: kinks do not pass each other.
+    A path claims the sighting nearest to its expected position, and none below its last position. An unresolved path
+    has no claim beyond its resolved neighbours, because kinks do not pass each other.
     """
     claimed: list[tuple[_Path, int]] = []
     latest = max((p.times[-1] for p in living), default=t)
-    for path in sorted(living, key=lambda p: p.times[-1] < latest):  # those in sight first
+    for path in sorted(living, key=lambda p: p.times[-1] < latest):  # resolved ones first
         ahead, reach = _expected(path, t, dx, speed)
         here = path.sightings[-1].x
-        near = [i for i, new in enumerate(sightings) if abs(new.x - ahead) <= reach and new.x >= here - BACK * dx]
+        near = [
+            i for i, new in enumerate(sightings) if abs(new.x - ahead) <= reach and new.x >= here - SCATTER_BACK * dx
+        ]
         if not near:
             continue
         i = min(near, key=lambda i: abs(sightings[i].x - ahead))
@@ -220,30 +228,33 @@ def _claims(
 
 
 def _expected(path: _Path, t: float, dx: float, speed: Speed) -> tuple[float, float]:
-    """Where the kink should be at t, and how far from there it may be found."""
+    """Return the expected position of the kink at t, and the largest distance from there."""
     travel = speed(path.sightings[-1]) * (t - path.times[-1])
     return path.sightings[-1].x + travel, 4 * dx + 0.5 * abs(travel)
 
 
 def _is_lost(path: _Path, t: float, dx: float, speed: Speed) -> bool:
-    """Out of sight for longer than two shocks need to become one."""
-    return abs(speed(path.sightings[-1])) * (t - path.times[-1]) > 2 * WIDEST * dx
+    """Return True if a path has been unresolved for longer than two shocks need to become one."""
+    return abs(speed(path.sightings[-1])) * (t - path.times[-1]) > 2 * WIDEST_SHOCK * dx
 
 
 def _rightful(claimants: list[_Path], dx: float) -> list[_Path]:
-    """Without those out of sight that were never seen beside one in sight, nor can be its past."""
+    """Return the claimants without unresolved ones that cannot be related to a resolved one.
+
+    Two paths are related if both were observed at the same time, or if one can be the past of the other.
+    """
     latest = max((p.times[-1] for p in claimants), default=0.0)
-    present = [p for p in claimants if p.times[-1] == latest]
+    resolved = [p for p in claimants if p.times[-1] == latest]
 
     def related(lost: _Path, seen: _Path) -> bool:
-        uphill = seen.sightings[0].x >= lost.sightings[-1].x - BACK * dx
+        uphill = seen.sightings[0].x >= lost.sightings[-1].x - SCATTER_BACK * dx
         return bool(set(lost.times) & set(seen.times)) or (lost.times[-1] < seen.times[0] and uphill)
 
-    return [p for p in claimants if p in present or all(related(p, seen) for seen in present)]
+    return [p for p in claimants if p in resolved or all(related(p, seen) for seen in resolved)]
 
 
 def _untangle(claims: dict[int, list[_Path]], sightings: list[Sighting]) -> None:
-    """Where two paths claim one sighting and its neighbour is unclaimed, kinks keep their order instead of merging."""
+    """Reassign sightings that two paths claim if a neighbour is unclaimed, so that kinks retain their order."""
     for i in list(claims):
         claimants = sorted(claims[i], key=lambda p: p.sightings[-1].x)
         if len(claimants) < 2:
@@ -258,12 +269,12 @@ def _untangle(claims: dict[int, list[_Path]], sightings: list[Sighting]) -> None
 
 
 def _leaves(path: _Path, t: float, dx: float, speed: Speed) -> bool:
-    """Ends a path that went out of sight when it was about to reach x = 0."""
+    """End a path that became unresolved shortly before x = 0; return True in that case."""
     x, velocity = path.sightings[-1].x, speed(path.sightings[-1])
-    if velocity <= 0 or x < -3 * WIDEST * dx:
+    if velocity <= 0 or x < -3 * WIDEST_SHOCK * dx:
         return False
     arrival = path.times[-1] - x / velocity
-    if arrival > t + 2 * WIDEST * dx / velocity:
+    if arrival > t + 2 * WIDEST_SHOCK * dx / velocity:
         return False
     path.end = Event(arrival, "exit", 0, None, 0.0)
     return True
@@ -276,17 +287,17 @@ def _leaves_at(end: float, path: _Path, dx: float, speed: Speed) -> None:
     """
     last, velocity = path.sightings[-1], speed(path.sightings[-1])
     here = last.x + velocity * (end - path.times[-1])
-    if here - path.sightings[0].x <= BACK * dx:
+    if here - path.sightings[0].x <= SCATTER_BACK * dx:
         return
-    if (path.end.event == "exit" if path.end else path.times[-1] == end) and -BACK * dx <= here < 0.0:
+    if (path.end.event == "exit" if path.end else path.times[-1] == end) and -SCATTER_BACK * dx <= here < 0.0:
         path.end = Event(end, "exit", 0, None, 0.0)
 
 
 def _merge(loser: _Path, winner: _Path, dx: float, speed: Speed) -> None:
-    """Ends `loser` where it meets `winner`: extrapolated, for shocks that touch are seen as one too early."""
-    common = sorted(set(loser.times) & set(winner.times))[-MEMORY:]
+    """End `loser` where it meets `winner`, by extrapolation, because touching shocks are joined too early."""
+    common = sorted(set(loser.times) & set(winner.times))[-SIGHTINGS_OF_MERGE:]
     xs = [np.array([p.sightings[p.times.index(t)].x for t in common]) for p in (loser, winner)]
-    if abs(xs[1][-1] - xs[0][-1]) > WIDEST * dx:  # they did not touch: one of them was too weak or wide to be seen
+    if abs(xs[1][-1] - xs[0][-1]) > WIDEST_SHOCK * dx:  # they did not touch: one was too weak or too wide
         return
     near = np.abs(xs[0] - xs[0][-1]) <= NEARBY * dx
     xs = [x[near] for x in xs]
@@ -296,26 +307,26 @@ def _merge(loser: _Path, winner: _Path, dx: float, speed: Speed) -> None:
     else:
         speeds = [speed(p.sightings[p.times.index(t[-1])]) for p in (loser, winner)]
         closing, velocity, now, apart, here = speeds[0] - speeds[1], speeds[1], t[-1], gap[-1], xs[1][-1]
-    wait = max(apart / closing if closing * apart > 0 else 0.0, loser.times[-1] - now)  # not before both are last seen
+    wait = max(apart / closing if closing * apart > 0 else 0.0, loser.times[-1] - now)  # at the last sightings or later
     loser.into = winner
     # the extrapolation of two kinks at the crest may lie beyond it
     loser.end = Event(float(now + wait), "merge", 0, None, min(float(here + velocity * wait), 0.0))
 
 
 def _merge_lost(paths: list[_Path], end: float, dx: float, speed: Speed) -> None:
-    """A path that was lost from sight beside another that lived on, and was closing in on it, has merged with it."""
+    """Merge each lost path into a surviving neighbour that it approached."""
     for lost in sorted((p for p in paths if p.end is None and p.times[-1] < end), key=lambda p: p.times[-1]):
         t, x = lost.times[-1], lost.sightings[-1].x
-        beside = [p for p in paths if p is not lost and p.times[0] <= t < p.times[-1] and t in p.times]
-        beside.sort(key=lambda p: abs(p.sightings[p.times.index(t)].x - x))
-        if not beside:
+        neighbours = [p for p in paths if p is not lost and p.times[0] <= t < p.times[-1] and t in p.times]
+        neighbours.sort(key=lambda p: abs(p.sightings[p.times.index(t)].x - x))
+        if not neighbours:
             continue
-        other = beside[0]
+        other = neighbours[0]
         gap = other.sightings[other.times.index(t)].x - x
         closing = (speed(lost.sightings[-1]) - speed(other.sightings[other.times.index(t)])) * np.sign(gap)
-        if abs(gap) > WIDEST * dx or closing <= 0:
+        if abs(gap) > WIDEST_SHOCK * dx or closing <= 0:
             continue
-        if lost.seniority(t) < other.seniority(t):  # it takes over the rest of the other's path
+        if lost.seniority(t) < other.seniority(t):  # the lost path receives the rest of the other path
             k = other.times.index(t) + 1
             lost.times += other.times[k:]
             lost.sightings += other.sightings[k:]
@@ -328,16 +339,16 @@ def _merge_lost(paths: list[_Path], end: float, dx: float, speed: Speed) -> None
         _merge(lost, other, dx, speed)
 
 
-def _settle(path: _Path, end: float, dx: float) -> None:
-    """Keeps a merge only where and when the other kink was: it may have merged itself, or have gone out of sight."""
+def _assign_merge(path: _Path, end: float, dx: float) -> None:
+    """Assign a merge to the surviving kink, or discard it if that kink has merged before or is unresolved there."""
     event, other = path.end, path.into
     assert event and other
-    # kinks that meet at one point within the resolution of the grid all merge into the one that lives on
-    while other.end and other.into and (other.end.time < event.time or abs(other.end.x - event.x) <= WIDEST * dx):
+    # kinks that meet at one point within the resolution of the grid all merge into the surviving one
+    while other.end and other.into and (other.end.time < event.time or abs(other.end.x - event.x) <= WIDEST_SHOCK * dx):
         other = other.into
     seen = np.interp(event.time, other.times, [s.x for s in other.sightings])
     gone = other.end.time if other.end else other.times[-1]
-    if gone < min(event.time, end) or abs(seen - event.x) > WIDEST * dx:
+    if gone < min(event.time, end) or abs(seen - event.x) > WIDEST_SHOCK * dx:
         path.end = path.into = None
     else:
         path.into = other
@@ -366,7 +377,7 @@ def _without_flicker(paths: list[_Path], end: float, dx: float) -> list[_Path]:
 
 
 def _slope(t: Array, x: Array) -> float:
-    """Of the line through the points by least squares."""
+    """Return the slope of the least-squares line through the points."""
     centred = (t - t[0]) - (t - t[0]).mean()
     spread = float(centred @ centred)
     return float(centred @ x) / spread if spread > 0 else 0.0
@@ -380,13 +391,13 @@ def _measured_speed(path: _Path, i: int, turns: Sequence[float], dx: float) -> f
     """
     t, x = np.array(path.times), np.array([s.x for s in path.sightings])
     side = np.searchsorted(turns, t, side="right")
-    whole = x <= -WIDEST * dx
+    whole = x <= -WIDEST_SHOCK * dx
     if not whole[i]:
         return float("nan")
     t, x, far = (a[whole & (side == side[i])] for a in (t - t[i], x, np.abs(x - x[i])))
-    near = far <= max(NEARBY * dx, float(np.sort(far)[min(FEWEST, far.size) - 1]))
+    near = far <= max(NEARBY * dx, float(np.sort(far)[min(FEWEST_SIGHTINGS, far.size) - 1]))
     t, x = t[near], x[near]
-    if t.size < FEWEST - 1 or np.ptp(x) < LEAST_SPAN * dx:
+    if t.size < FEWEST_SIGHTINGS - 1 or np.ptp(x) < LEAST_SPAN * dx:
         return float("nan")
     scale = float(np.ptp(t))
     cubic = np.polyfit(t / scale, x, min(3, t.size - 2))
@@ -395,7 +406,7 @@ def _measured_speed(path: _Path, i: int, turns: Sequence[float], dx: float) -> f
 
 
 def events_of(paths: Sequence[_Path], end: float) -> list[Event]:
-    """Births, merges and exits up to the time `end`, in their order."""
+    """Return births, merges and exits up to the time `end`, in their order."""
     births = [Event(p.times[0], "birth", p.number, None, p.sightings[0].x) for p in paths if p.born]
     ends = [p.end for p in paths if p.end and p.end.time <= end]
     return in_order(births + ends)

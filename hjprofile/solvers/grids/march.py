@@ -1,7 +1,7 @@
-"""Marching a scheme through time: step size, snapshots hit exactly, failure, those who watch.
+"""Time stepping of a scheme: step size, exact saved times, failure, and monitors.
 
-A scheme takes many steps of one length at a time. The length is chosen with a margin over the speed met last, the
-speed that was met is looked at afterwards, and the steps are taken anew, shorter, if it was more than they allow.
+A scheme takes many steps of one length at a time. The length allows a margin over the last measured speed. The speed is
+checked afterwards, and the steps are repeated with a shorter length if it exceeded the bound.
 """
 
 from __future__ import annotations
@@ -24,43 +24,43 @@ from hjprofile.solvers.grids.scheme import MOST_STEPS, Scheme
 from hjprofile.solvers.run import Array, Breakdown, Halt, Keeper, Monitor, State
 from hjprofile.solvers.stop import ROBUST_METHOD, Place, Reason, Stop, Stopped, Time
 
-STEP_FLOOR = 1e-9  # of the run's end: more steps than this allows would take days, ...
-PATIENCE = 20_000  # ... but the first ones can be much shorter than those after them: K falls, and hollows fill
-SMALL_CFL = 0.3  # below it short time steps are the user's choice
-MOST_WAY = 1 / 32  # of the grid: between two states that monitors see nothing moves further, ...
-CLOSE_WAY = 3e-3  # ... of the grid and no further, where a monitor wants to know when something happened
-MARGIN = 0.01  # by which the speed may rise while steps are taken, beyond half as much again as it rose last
+STEP_FLOOR = 1e-9  # smallest time step as a fraction of the end of the run: shorter ones would take days
+STEPS_BEFORE_FLOOR = 20_000  # steps before STEP_FLOOR applies; the first ones can be shorter, as K falls
+SMALL_CFL = 0.3  # below it short time steps are the choice of the user
+LARGEST_MOTION = 1 / 32  # largest motion between two observed states, as a fraction of the cells
+CLOSE_MOTION = 3e-3  # the same where a monitor dates an event
+MARGIN = 0.01  # relative increase of the speed that a batch allows, in addition to 1.5 times the last increase
 NOBODY: Mapping[str, Any] = MappingProxyType({})
 
 
 class _StepTooSmall(Exception):
-    """The time step fell below STEP_FLOOR."""
+    """A time step below STEP_FLOOR."""
 
 
 @dataclass
 class _Pace:
-    """Where the march is, and how it gets on."""
+    """Progress of the march and the control of its steps."""
 
     t: float = 0.0
     steps: int = 0
     seconds: float = 0.0
     shortest: float = np.inf
     longest: float = 0.0
-    speed: float = 0.0  # K f' met last
-    rise: float = 0.0  # of the speed from the last batch of steps to this, as a part of it
-    outgrown: float = 0.0  # speed that was met in steps that were too long for it
-    most: int = MOST_STEPS  # steps to take at once
-    close_until: float = 0.0  # time up to which few steps are taken at once
+    speed: float = 0.0  # last measured K f'
+    rise: float = 0.0  # relative increase of the speed from the previous batch of steps to this one
+    rejected_speed: float = 0.0  # speed that exceeded the bound of a rejected batch
+    most: int = MOST_STEPS  # steps in the next batch
+    close_until: float = 0.0  # time up to which batches are short
 
-    memory: ClassVar[tuple[str, ...]] = (
-        "t", "steps", "seconds", "shortest", "longest", "speed", "rise", "outgrown", "most", "close_until",
+    checkpoint_fields: ClassVar[tuple[str, ...]] = (
+        "t", "steps", "seconds", "shortest", "longest", "speed", "rise", "rejected_speed", "most", "close_until",
     )  # fmt: skip
 
 
 def _targets(problem: Problem, refresh: float | None) -> tuple[Array, frozenset[float]]:
-    """Times after 0 that are hit exactly: those that are kept, the end, and nΔt, when the factor is taken anew.
+    """Return the times after 0 that are hit exactly: the saved times, the end, and the refresh times nΔt of a frozen K.
 
-    The latter are returned apart as well. What differs by rounding only is one time.
+    The refresh times are also returned separately. Times that differ by rounding only are merged.
     """
     end = problem.end
     targets = np.unique(np.append(problem.times[problem.times > 0.0], end if end else []))
@@ -74,25 +74,25 @@ def _targets(problem: Problem, refresh: float | None) -> tuple[Array, frozenset[
 
 
 class _Watchers:
-    """The monitors of a run, each of which looks when it wants to, and the progress that is shown."""
+    """The monitors of a run, each with its own observation times, and the progress display."""
 
     def __init__(self, monitors: Mapping[str, Monitor], progress: Callable[[float], None] | None):
         self.monitors, self.progress = monitors, progress
-        self.looked = dict.fromkeys(monitors, -1.0)  # when each did so last
+        self.observed_at = dict.fromkeys(monitors, -1.0)  # the last observation time of each
 
     def show(self, state: State, fraction: float, every: bool) -> None:
-        """To those that want to see it, or to `every` monitor."""
+        """Show a state to the monitors that request it, or to `every` monitor."""
         for name, monitor in self.monitors.items():
             if every or monitor.wants(state):
-                self.looked[name] = state.t
+                self.observed_at[name] = state.t
                 monitor.observe(state)
         if self.progress:
             self.progress(fraction)
 
     def show_last(self, state: State) -> None:
-        """To those that have not seen it: what they find of the end is then of the last good state, too."""
+        """Show a state to the monitors that have not observed it, so that all results refer to the last good state."""
         for name, monitor in self.monitors.items():
-            if self.looked[name] < state.t:
+            if self.observed_at[name] < state.t:
                 monitor.observe(state)
 
 
@@ -102,8 +102,8 @@ class _Batch(NamedTuple):
     dt: float
     steps: int
     bound: float  # of K f'
-    target: float  # the next time that is hit exactly, and ...
-    arrives: bool  # ... whether these steps reach it
+    target: float  # the next time that is hit exactly
+    arrives: bool  # True if these steps reach it
 
 
 class March:
@@ -113,52 +113,52 @@ class March:
         self.scheme, self.problem, self.grid, self.cfl, self.watchers = scheme, problem, grid, cfl, watchers
         self.factor = scheme.factor
         self.recorder, self.pace = Recorder(problem.kept, grid), _Pace()
-        self.targets, self.renewals = _targets(problem, self.factor.refresh)
-        self.close_leap = max(6, int(grid.cells * CLOSE_WAY))
-        self.longest_leap = min(MOST_STEPS, max(1, int(grid.cells * MOST_WAY)), self.factor.steps)
-        self.batch = _Batch(0.0, 0, 0.0, 0.0, False)  # the last one
-        self.held = self.factor.held  # the factor before it
-        self.renewed = 0.0  # largest K f' with the factor that was taken anew at its end
+        self.targets, self.refresh_times = _targets(problem, self.factor.refresh)
+        self.close_leap = max(6, int(grid.cells * CLOSE_MOTION))
+        self.longest_leap = min(MOST_STEPS, max(1, int(grid.cells * LARGEST_MOTION)), self.factor.steps)
+        self.batch = _Batch(0.0, 0, 0.0, 0.0, False)  # the last batch
+        self.frozen_before = self.factor.frozen_K  # frozen K before the last batch
+        self.refreshed_speed = 0.0  # largest K f' with the K that was refreshed at the end of the batch
 
     @property
     def parts(self) -> dict[str, Any]:
-        """What a checkpoint keeps the memory of."""
+        """The parts of the run whose fields a checkpoint stores."""
         own = {"pace": self.pace, "recorder": self.recorder, "scheme": self.scheme, "factor": self.factor}
         return own | dict(self.watchers.monitors)
 
     def start(self) -> None:
-        """Evaluates the data. Raises Stopped if the run cannot start."""
+        """Evaluate the data. Raise Stopped if the run cannot start."""
         try:
-            self.pace.speed = self._renew() if self.factor.refresh else self.scheme.evaluate()
+            self.pace.speed = self._refresh() if self.factor.refresh else self.scheme.evaluate()
         except Breakdown as broken:
             raise Stopped(_no_start(broken, self.grid)) from None
-        self.scheme.advance(0.0, 1, self.pace.speed)  # compiles what is to be compiled
+        self.scheme.advance(0.0, 1, self.pace.speed)  # compiles the loops
         self.pace.most = self.longest_leap
 
     def first_state(self) -> None:
-        """Shows and stores it."""
+        """Show and store the initial state."""
         self._show(self._state(0.0, 0, self.pace.speed), every=True)
         if self.problem.times[0] == 0.0:
             self._store()
 
     def recall(self, stored: Mapping[str, Array]) -> None:
-        """Goes on from a checkpoint."""
+        """Continue from a checkpoint."""
         recall(self.parts, stored)
         self.factor.t = self.pace.t
         self.scheme.evaluate()
 
-    def run(self, happened: Callable[[State], bool], keeper: Keeper | None) -> Stop | None:
-        """To the end, or to where it stops, with the reason."""
+    def run(self, kinks_changed: Callable[[State], bool], keeper: Keeper | None) -> Stop | None:
+        """Advance to the end, or until the run stops; return the reason in that case."""
         pace = self.pace
         try:
             for target in self.targets[self.targets > pace.t].tolist():
-                self._go_to(target, happened, keeper)
+                self._go_to(target, kinks_changed, keeper)
         except Breakdown as broken:
-            self._back()
+            self._roll_back()
             pace.speed = self.scheme.evaluate()
             return _breakdown(broken, self)
         except Halt as halt:
-            self._back()
+            self._roll_back()
             self.scheme.evaluate()
             return Stop(halt.stop.reason, "stopped at t = {t:.6g}: {why}", values={"t": Time(pace.t), "why": halt.stop})
         except _StepTooSmall:
@@ -167,7 +167,7 @@ class March:
         return None
 
     def last_good_state(self) -> None:
-        """Stores and shows the state at which the run stopped."""
+        """Store and show the state at which the run stopped."""
         pace, recorder = self.pace, self.recorder
         if not recorder.rows or recorder.columns[0][recorder.rows - 1] < pace.t:
             recorder.save(pace.t, self.scheme)
@@ -175,20 +175,20 @@ class March:
         with suppress(Halt, Breakdown):
             self.watchers.show_last(self._state(pace.t, pace.steps, pace.speed))
 
-    def _go_to(self, target: float, happened: Callable[[State], bool], keeper: Keeper | None) -> None:
-        """To a time that is hit exactly. Raises Breakdown, Halt, _StepTooSmall."""
+    def _go_to(self, target: float, kinks_changed: Callable[[State], bool], keeper: Keeper | None) -> None:
+        """Advance to a time that is hit exactly. Raise Breakdown, Halt, _StepTooSmall."""
         while self.pace.t < target:
             self.batch = self._choose(target)
-            state = self._advance(happened)
+            state = self._advance(kinks_changed)
             if state is not None:
                 self._accept(state)
                 if keeper and keeper.due():
                     keeper.keep(self.pace.t, remember(self.parts))
 
     def _choose(self, target: float) -> _Batch:
-        """As many steps as may be taken at once, of a length for a speed a little above the last one."""
+        """Return the largest allowed batch, with a step length for a speed slightly above the last one."""
         pace, problem = self.pace, self.problem
-        bound = max(pace.speed * (1.0 + MARGIN + 1.5 * pace.rise), pace.outgrown * (1.0 + MARGIN))
+        bound = max(pace.speed * (1.0 + MARGIN + 1.5 * pace.rise), pace.rejected_speed * (1.0 + MARGIN))
         dt = self.cfl * self.scheme.cfl_limit * self.grid.dx / bound
         remaining = target - pace.t
         needed = max(1, math.ceil(remaining / dt * (1.0 - 1e-12)))
@@ -196,71 +196,71 @@ class March:
             dt = remaining / needed
         steps = min(needed, pace.most, self.close_leap if pace.t < pace.close_until else MOST_STEPS)
         batch = _Batch(dt, steps, bound, target, steps == needed)
-        if needed > pace.most and dt < STEP_FLOOR * problem.end and (pace.steps > PATIENCE or self.cfl > 1.0):
+        if needed > pace.most and dt < STEP_FLOOR * problem.end and (pace.steps > STEPS_BEFORE_FLOOR or self.cfl > 1.0):
             self.batch = batch
             raise _StepTooSmall
         return batch
 
-    def _advance(self, happened: Callable[[State], bool]) -> State | None:
-        """The state after the batch; None if that has been rolled back, to be chosen again. Raises Breakdown, Halt."""
+    def _advance(self, kinks_changed: Callable[[State], bool]) -> State | None:
+        """Return the state after the batch, or None if the batch was rolled back. Raise Breakdown, Halt."""
         batch, pace, factor = self.batch, self.pace, self.factor
-        started, self.held = time.perf_counter(), factor.held
+        started, self.frozen_before = time.perf_counter(), factor.frozen_K
         try:
-            met = self.scheme.advance(batch.dt, batch.steps, batch.bound)
+            largest_speed = self.scheme.advance(batch.dt, batch.steps, batch.bound)
             pace.seconds += time.perf_counter() - started
-            if batch.bound < met < np.inf and (self.cfl <= 1.0 or batch.steps > 1):
-                self._back()
+            if batch.bound < largest_speed < np.inf and (self.cfl <= 1.0 or batch.steps > 1):
+                self._roll_back()
                 if self.cfl <= 1.0:
-                    pace.outgrown = met
-                else:  # no bound is promised; each step by the speed before it, to show what comes of it
+                    pace.rejected_speed = largest_speed
+                else:  # no bound is guaranteed; each step uses the speed before it, and shows the consequence
                     pace.most = max(1, batch.steps // 4)
                 return None
             factor.t = batch.target if batch.arrives else pace.t + batch.steps * batch.dt
-            if batch.arrives and batch.target in self.renewals:
-                self.renewed = self._renew()
-            state = self._state(factor.t, pace.steps + batch.steps, met)
-            if not met < np.inf:
+            if batch.arrives and batch.target in self.refresh_times:
+                self.refreshed_speed = self._refresh()
+            state = self._state(factor.t, pace.steps + batch.steps, largest_speed)
+            if not largest_speed < np.inf:
                 raise Breakdown(state.q, np.full(1, np.inf), state.first)
         except Breakdown:
             if batch.steps == 1:
                 raise
-            self._back()  # and once more, to find out where
+            self._roll_back()  # repeat in smaller batches to locate the breakdown
             pace.most = max(1, batch.steps // 4)
             return None
-        if batch.steps > self.close_leap and happened(state):
+        if batch.steps > self.close_leap and kinks_changed(state):
             pace.close_until = state.t
-            self._back()
+            self._roll_back()
             return None
         return state
 
     def _accept(self, state: State) -> None:
-        """Notifies the monitors, and goes on from this state. Raises Halt."""
+        """Notify the monitors, and continue from this state. Raise Halt."""
         batch, pace = self.batch, self.pace
         self._show(state, every=batch.arrives and batch.target == self.targets[-1])
         pace.rise = min(max(state.speed / pace.speed - 1.0, 0.0), 1.0)
-        pace.t, pace.steps, pace.speed, pace.outgrown = state.t, state.steps, state.speed, 0.0
+        pace.t, pace.steps, pace.speed, pace.rejected_speed = state.t, state.steps, state.speed, 0.0
         pace.most = min(2 * pace.most, self.longest_leap)
         pace.shortest, pace.longest = min(pace.shortest, batch.dt), max(pace.longest, batch.dt)
         if pace.t == batch.target:
-            if batch.target in self.renewals:
-                pace.speed = max(pace.speed, self.renewed)
+            if batch.target in self.refresh_times:
+                pace.speed = max(pace.speed, self.refreshed_speed)
             if batch.target in self.problem.times:
                 self._store()
 
-    def _back(self) -> None:
-        """To the state before the last batch."""
-        self.scheme.restore()
-        self.factor.t, self.factor.held = self.pace.t, self.held
+    def _roll_back(self) -> None:
+        """Return to the state before the last batch."""
+        self.scheme.roll_back()
+        self.factor.t, self.factor.frozen_K = self.pace.t, self.frozen_before
 
-    def _renew(self) -> float:
-        """Takes the factor anew; returns the largest K f'."""
-        self.factor.held = NOTHING
+    def _refresh(self) -> float:
+        """Refresh the frozen K; return the largest K f'."""
+        self.factor.frozen_K = NOTHING
         speed = self.scheme.evaluate()
-        self.factor.held = self.scheme.K.copy()
+        self.factor.frozen_K = self.scheme.K.copy()
         return speed
 
     def _state(self, t: float, steps: int, speed: float) -> State:
-        """The present state as monitors see it. Raises Breakdown."""
+        """Return the current state for monitors. Raise Breakdown."""
         scheme = self.scheme
         first, q = scheme.means()
         if not np.min(q) > -1.0:  # nor NaN
@@ -268,14 +268,16 @@ class March:
         scheme.law = scheme.law.covering(q)
         K = self.factor.given(nodes=slice(first, first + q.size + 1))
         return State(
-            t, steps, first, q, scheme.law.kernel, speed, self.batch.bound, self.batch.dt, scheme.growth,
+            t, steps, first, q, scheme.law.kernel, speed, self.batch.bound, self.batch.dt, scheme.toe_gain,
             scheme.crest_lowering, scheme.volume, None if K is None else K[0],
         )  # fmt: skip
 
     def _show(self, state: State, every: bool) -> None:
+        """Show a state to the monitors, and the progress to the user."""
         self.watchers.show(state, self.pace.t / self.problem.end if self.problem.end else 1.0, every)
 
     def _store(self) -> None:
+        """Save the current state as a row of the result."""
         self.pace.speed = max(self.pace.speed, self.scheme.evaluate())
         self.recorder.save(self.pace.t, self.scheme)
 
@@ -283,14 +285,14 @@ class March:
 def march(
     scheme: Scheme, problem: Problem, grid: Grid, cfl: float,
     monitors: Mapping[str, Monitor] = NOBODY, progress: Callable[[float], None] | None = None,
-    happened: Callable[[State], bool] = lambda state: False,
+    kinks_changed: Callable[[State], bool] = lambda state: False,
     keeper: Keeper | None = None, identity: Mapping[str, Any] = NOBODY,
 ) -> Recording:  # fmt: skip
-    """Runs `scheme` to the problem's end; `progress` is called with the fraction that is done.
+    """Run `scheme` to the end of the problem; call `progress` with the completed fraction.
 
-    Where `happened` says that something has since the last state, the steps in between are taken anew, few at a time.
-    A keeper keeps checkpoints, and the run goes on from the one it has of the same `identity`. Raises RunError if the
-    run cannot start, or was asked to stop.
+    If `kinks_changed` returns True for a new state, the steps since the last state are repeated in small batches. A
+    keeper stores checkpoints, and the run continues from the stored one with the same `identity`. Raise RunError if the
+    run cannot start, or if it was interrupted.
     """
     one = March(scheme, problem, grid, cfl, _Watchers(monitors, progress))
     one.start()
@@ -299,7 +301,7 @@ def march(
             one.recall(stored)
         else:
             one.first_state()
-        stop = one.run(happened, keeper)
+        stop = one.run(kinks_changed, keeper)
     if stop:
         one.last_good_state()
     times, W, q, K = (column[: one.recorder.rows] for column in one.recorder.columns)
@@ -308,6 +310,7 @@ def march(
 
 
 def _no_start(broken: Breakdown, grid: Grid) -> Stop:
+    """Return the reason if the initial state is not admissible."""
     return Stop(
         Reason.NOT_ADMISSIBLE,
         "the run cannot start: K f' is not a finite number near x = {x:.6g}, where q = {q:.6g}; the integral of f is "
@@ -317,6 +320,7 @@ def _no_start(broken: Breakdown, grid: Grid) -> Stop:
 
 
 def _too_small_a_step(run: March) -> Stop:
+    """Return the reason if the time step is below STEP_FLOOR."""
     scheme, grid = run.scheme, run.grid
     K = np.maximum(scheme.K[1:], scheme.K[:-1])
     fastest = int(np.argmax(K * run.problem.law.derivative(scheme.q)))
@@ -331,6 +335,7 @@ def _too_small_a_step(run: March) -> Stop:
 
 
 def _breakdown(broken: Breakdown, run: March) -> Stop:
+    """Return the reason if a step left the admissible range."""
     what = "q = {q:.6g} reached -1" if np.isfinite(broken.q) else "q is no longer finite"
     return Stop(
         Reason.NOT_ADMISSIBLE,

@@ -1,4 +1,4 @@
-"""What a run on a grid stores: rows at the saved times, and the memory of its parts for checkpoints."""
+"""Records of a run on a grid: rows at the saved times, and the checkpoint fields of its parts."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from hjprofile.solvers.stop import Stop
 
 
 class Recording(NamedTuple):
-    """What was saved on the way, with an account of the steps."""
+    """The saved states of a run, with a summary of its steps."""
 
     times: Array
     W: Array
     q: Array
     K: Array
-    stop: Stop | None  # None: went to the end
+    stop: Stop | None  # None: the run reached the end
     steps: int
     step_range: tuple[float, float]
     wall_seconds: float
 
 
 class Recorder:
-    """Rows of t, W, q and K at the times that are kept."""
+    """Rows of t, W, q and K at the saved times."""
 
-    memory: tuple[str, ...] = ("kept",)
+    checkpoint_fields: tuple[str, ...] = ("saved_rows",)
 
     def __init__(self, times: int, grid: Grid):
         self.columns = [
@@ -39,17 +39,17 @@ class Recorder:
 
     def save(self, t: float, scheme: Scheme) -> None:
         for i, value in enumerate((t, scheme.W, scheme.q, scheme.K)):
-            if self.rows == len(self.columns[i]):  # the last good state of a run that stopped after all kept times
+            if self.rows == len(self.columns[i]):  # the last good state of a run that stopped after all saved times
                 self.columns[i] = np.concatenate([self.columns[i], [value]])
             self.columns[i][self.rows] = value
         self.rows += 1
 
     @property
-    def kept(self) -> Array:
+    def saved_rows(self) -> Array:
         return np.hstack([column[: self.rows].reshape(self.rows, column[0].size) for column in self.columns])
 
-    @kept.setter
-    def kept(self, rows: Array) -> None:
+    @saved_rows.setter
+    def saved_rows(self, rows: Array) -> None:
         self.rows = len(rows)
         widths = np.cumsum([1] + [column.shape[1] for column in self.columns[1:]])
         for column, part in zip(self.columns, np.split(rows, widths[:-1], axis=1), strict=True):
@@ -57,16 +57,20 @@ class Recorder:
 
 
 def remember(parts: Mapping[str, Any]) -> dict[str, Array]:
-    """What the parts of a run name as their memory, by "part.name"."""
-    return {f"{part}.{name}": np.asarray(getattr(what, name)) for part, what in parts.items() for name in what.memory}
+    """Return the checkpoint fields of the parts of a run, by "part.name"."""
+    return {
+        f"{part}.{name}": np.asarray(getattr(holder, name))
+        for part, holder in parts.items()
+        for name in holder.checkpoint_fields
+    }
 
 
 def recall(parts: Mapping[str, Any], stored: Mapping[str, Array]) -> None:
-    """Sets the memory of the parts of a run to what was stored of it."""
-    for part, what in parts.items():
-        for name in what.memory:
-            value, present = stored[f"{part}.{name}"], getattr(what, name)
-            if isinstance(present, np.ndarray):
-                setattr(what, name, np.array(value))
+    """Set the checkpoint fields of the parts of a run to their stored values."""
+    for part, holder in parts.items():
+        for name in holder.checkpoint_fields:
+            value, current = stored[f"{part}.{name}"], getattr(holder, name)
+            if isinstance(current, np.ndarray):
+                setattr(holder, name, np.array(value))
             else:
-                setattr(what, name, tuple(value.tolist()) if isinstance(present, tuple) else value.item())
+                setattr(holder, name, tuple(value.tolist()) if isinstance(current, tuple) else value.item())

@@ -1,4 +1,4 @@
-"""What time stepping needs of a scheme."""
+"""Interface between time stepping and a scheme."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from hjprofile.solvers.grids.factor import Factor
 from hjprofile.solvers.grids.grid_law import GridLaw
 from hjprofile.solvers.run import Array
 
-MOST_STEPS = 64  # at a time, the lanes of the sweeps
-BESIDE = 64  # critical cells that monitors see beside what is not critical, as many as their stencils can ask for
+MOST_STEPS = 64  # in one batch: the number of lanes of the sweeps
+HALO = 64  # cells of neutral slope on either side of the active cells, at least the width of the monitors' stencils
 
 
 class Scheme(Protocol):
-    """A discretisation with its own time steps. `q`, `K` belong to the present state after `evaluate`.
+    """A discretisation with its own time steps. `q` and `K` belong to the current state after `evaluate`.
 
-    `memory` names the attributes that make up its state, for a checkpoint.
+    `checkpoint_fields` names the attributes that form its state, for a checkpoint.
     """
 
     @property
@@ -25,44 +25,44 @@ class Scheme(Protocol):
     factor: Factor
     q: Array
     K: Array
-    growth: float
+    toe_gain: float
     crest_lowering: float
-    memory: tuple[str, ...]
+    checkpoint_fields: tuple[str, ...]
     cfl_limit: float  # Δt max(K f')/Δx at which the scheme is still monotone (limited: total variation diminishing)
 
     def evaluate(self) -> float:
-        """Brings q and K up to the present state; returns max K f'. Raises Breakdown."""
+        """Compute q and K of the current state; return max K f'. Raise Breakdown if the state is not admissible."""
         ...
 
     def means(self) -> tuple[int, Array]:
-        """q at present on the cells where it need not be 0, and the first of these cells."""
+        """Return the first active cell, and q on the active cells with a halo of neutral cells."""
         ...
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
-        """At most MOST_STEPS steps; returns the largest K f' met, which should not exceed `bound`.
+        """Advance by at most MOST_STEPS steps; return the largest K f', which should not exceed `bound`.
 
-        Where the state breaks down that is not finite, or Breakdown is raised.
+        If the state breaks down, the speed is not finite or Breakdown is raised.
         """
         ...
 
-    def restore(self) -> None:
-        """Back to the state before the last `advance`."""
+    def roll_back(self) -> None:
+        """Return to the state before the last `advance`."""
         ...
 
     def volume(self) -> float:
-        """∫(u - x) dx by the sum whose change the scheme's own budget states."""
+        """Return ∫(u - x) dx by the sum whose change the budget of the scheme states."""
         ...
 
 
-class Restorable:
-    """A state that is kept and restored by what it names as its memory: what is kept must not be written into."""
+class WithRollback:
+    """A state that can be saved and rolled back. Saved arrays must not be modified in place."""
 
-    memory: tuple[str, ...]
+    checkpoint_fields: tuple[str, ...]
 
-    def keep(self) -> None:
-        """Keeps the present state."""
-        self.kept = {name: getattr(self, name) for name in self.memory}
+    def save(self) -> None:
+        """Save the current state."""
+        self.saved_state = {name: getattr(self, name) for name in self.checkpoint_fields}
 
-    def restore(self) -> None:
-        """Back to it."""
-        vars(self).update(self.kept)
+    def roll_back(self) -> None:
+        """Return to the saved state."""
+        vars(self).update(self.saved_state)

@@ -1,4 +1,7 @@
-"""Every compiled loop: arrays and floats in, arrays and floats out. The only room that knows numba."""
+"""Compilation of the loops by numba, with a cache on disk.
+
+No other package imports numba. Compiled loops take and return arrays and floats.
+"""
 
 from contextlib import suppress
 from functools import wraps
@@ -11,27 +14,27 @@ from hjprofile.solvers.kernels.disk_cache import KernelCache
 
 
 def compiled(function, **options):
-    """numba.njit with a cache on disk where there is a writable place for it."""
+    """Compile a function by numba.njit, with a cache on disk if a folder for it can be written."""
     if numba.config.DISABLE_JIT:
         return _interpreted(function)
     # error_model="numpy": without the check for division by zero loops vectorise
     loop = numba.njit(error_model="numpy", **options)(function)
-    with suppress(RuntimeError):  # no place for the cache
+    with suppress(RuntimeError):  # no folder for the cache can be written
         loop._cache = KernelCache(function)
     return loop
 
 
 def vectorised(function):
-    """`compiled`, where a product and a sum may be rounded once instead of twice."""
+    """Compile a function as `compiled` does; a product and a sum may be rounded once instead of twice."""
     return compiled(function, fastmath={"contract"})
 
 
 def by_type(choose):
-    """A function for loops whose code is chosen by type: `choose` takes the types of the arguments."""
+    """Return a function for loops whose code is chosen by type: `choose` takes the types of the arguments."""
     known = {}
 
     @wraps(choose)
-    def chosen(*arguments):  # only where nothing is compiled
+    def chosen(*arguments):  # called only if compilation is disabled
         kinds = tuple(map(type, arguments))
         if kinds not in known:
             known[kinds] = choose(*map(numba.typeof, arguments))
@@ -42,7 +45,7 @@ def by_type(choose):
 
 
 def _interpreted(function):
-    """The loop by Python itself, as NUMBA_DISABLE_JIT asks, which divides by zero as compiled loops do."""
+    """Return the loop as Python runs it under NUMBA_DISABLE_JIT; it divides by zero as compiled loops do."""
 
     @wraps(function)
     def loop(*arguments):

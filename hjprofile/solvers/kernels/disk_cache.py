@@ -1,4 +1,4 @@
-"""Compiled loops on disk: taken from there only if no source has changed since, and as they were written."""
+"""Cache of compiled loops on disk, valid only for unchanged sources and undamaged files."""
 
 import hashlib
 import pickle
@@ -14,9 +14,9 @@ from hjprofile.files import write_whole
 
 
 def _sources():
-    """A digest of all that compiled code is made from: every kernel, and what compiles them.
+    """Return a digest of all sources of compiled code: every kernel, and the modules that compile them.
 
-    All of them, because a kernel contains the functions that it calls, of whichever file.
+    All kernels are included because a kernel contains the functions that it calls, from any file.
     """
     digest = hashlib.sha256(numba.__version__.encode())
     for path in sorted(Path(__file__).parent.parent.rglob("kernels/*.py")):
@@ -28,10 +28,10 @@ SOURCES = _sources()
 
 
 class KernelCache(FunctionCache):
-    """numba's cache of a function, with files of our own.
+    """The cache of numba for one function, with files in a format of this package.
 
-    numba looks only at the file that a function is in for changes, and gives what it reads to LLVM unseen, though half
-    of it may be lost. Raises RuntimeError if there is no place to write to.
+    numba itself detects changes only in the file of the function, and passes the file that it reads to LLVM without a
+    check, although half of it may be lost. The constructor raises RuntimeError if no folder can be written.
     """
 
     def __init__(self, function):
@@ -39,22 +39,22 @@ class KernelCache(FunctionCache):
         self._cache_file = _Files(Path(self.cache_path), f"{function.__module__}.{function.__qualname__}")
 
     def save_overload(self, sig, data):
-        """A disk that is full costs the next process a compilation, and this one nothing."""
+        """Write compiled code; ignore a full disk, which costs only a compilation in the next process."""
         with suppress(OSError):
             super().save_overload(sig, data)
 
 
 class _Files:
-    """One file for each signature: a digest of the sources and of what follows, which is a key and compiled code.
+    """One file for each signature: a digest of the sources and of the content, then a key and compiled code.
 
-    Its name stays when sources change, so that what is stale is overwritten.
+    The name of the file does not depend on the sources, so a stale file is overwritten.
     """
 
     def __init__(self, folder, name):
         self.folder, self.name = folder, f"{name.rpartition('kernels.')[2]}.{sys.implementation.cache_tag}"
 
     def load(self, key):
-        """The compiled code; None where there is none that can be trusted."""
+        """Return the compiled code, or None if no file exists or if it is stale or damaged."""
         try:
             data = self._path(key).read_bytes()
         except OSError:
@@ -66,7 +66,7 @@ class _Files:
         return code if written_for == key else None
 
     def save(self, key, code):
-        """Raises OSError."""
+        """Write the compiled code; raise OSError if that fails."""
         body = dumps((key, code))
         write_whole(self._path(key), _digest(body) + body)
 
@@ -77,4 +77,5 @@ class _Files:
 
 
 def _digest(body):
+    """Return the digest of the sources and of the content of a file."""
     return hashlib.sha256(SOURCES + body).digest()

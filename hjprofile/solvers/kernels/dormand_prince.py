@@ -1,7 +1,7 @@
-"""Dormand and Prince's method of order 8 with two estimates of its error.
+"""Dormand-Prince method of order 8 with two error estimates.
 
-After Hairer, Nørsett and Wanner, Solving Ordinary Differential Equations I (1993), chapter II: a step has twelve rates,
-each at a state made of those before it, and one more at its end, for the estimates.
+The method follows Hairer, Nørsett and Wanner, Solving Ordinary Differential Equations I (1993), chapter II. A step has
+twelve stages, each at a state combined from the rates before it, and one more rate at its end for the estimates.
 """
 
 import math
@@ -13,16 +13,16 @@ import numpy as np
 from hjprofile.solvers.kernels import compiled
 
 STAGES = 12
-BLOCK = 1024  # entries of a state that stay in the fastest memory while rates are summed
+BLOCK = 1024  # entries of a state that fit into the first-level cache while rates are summed
 
 
 class Tableau(NamedTuple):
-    """The coefficients by all rates.
+    """The coefficients of the method.
 
     Attributes:
         A, B: of the stages and of the step.
-        E3, E5: of the estimates of the error.
-        A_more, D: of three more stages, and of the interpolant of order 7 that they make possible.
+        E3, E5: of the error estimates.
+        A_more, D: of three more stages, and of the interpolant of order 7 that uses them.
     """
 
     A: np.ndarray
@@ -35,7 +35,7 @@ class Tableau(NamedTuple):
 
 @cache
 def tableau() -> Tableau:
-    """The coefficients, from scipy: half a second of imports, which runs on a grid do without."""
+    """Return the coefficients from scipy, whose import takes half a second and is not needed by runs on a grid."""
     from scipy.integrate import DOP853
 
     return Tableau(DOP853.A, DOP853.B, DOP853.E3, DOP853.E5, DOP853.A_EXTRA, DOP853.D)
@@ -43,9 +43,9 @@ def tableau() -> Tableau:
 
 @compiled
 def state_at(stage, y, h, rates, tableau, out):
-    """Fill the state at which the rate of a stage is taken, from the rates before it.
+    """Fill the state at which the rate of a stage is evaluated, from the rates before it.
 
-    The stage STAGES is the end of the step; those after it serve the interpolant.
+    The stage STAGES is the end of the step; later stages serve the interpolant.
     """
     for start in range(0, y.size, BLOCK):
         end = min(start + BLOCK, y.size)
@@ -65,9 +65,9 @@ def state_at(stage, y, h, rates, tableau, out):
 
 @compiled
 def step_error(h, rates, tableau, new, absolute):
-    """The largest error of a step that ends at `new`; NaN where a rate is not finite.
+    """Return the largest error of a step that ends at `new`; NaN if a rate is not finite.
 
-    Of the first `absolute` entries as it is, of the others as a part of 1 + their size.
+    The error is absolute for the first `absolute` entries, and relative to 1 + |entry| for the others.
     """
     fifth = third = 0.0
     for l in range(new.size):
@@ -96,7 +96,7 @@ def interpolant(y, h, rates, tableau, new, F):
 
 @compiled
 def state_within(y, F, part, out):
-    """Fill the state at a part of the step, in [0, 1]."""
+    """Fill the state at a fraction of the step, in [0, 1]."""
     for l in range(y.size):
         total = 0.0
         for i in range(7):
@@ -106,5 +106,5 @@ def state_within(y, F, part, out):
 
 @compiled
 def larger(a, b):
-    """The larger of the two; NaN if either is."""
+    """Return the larger of two numbers; NaN if either is NaN."""
     return b if a <= b or b != b else a

@@ -1,4 +1,4 @@
-"""The journal of a solution by fronts: its events, the integrals of its fluxes, and counts."""
+"""Journal of a solution by fronts: events, integrals of fluxes, and counts."""
 
 from typing import NamedTuple
 
@@ -6,23 +6,25 @@ import numpy as np
 
 from hjprofile.solvers.kernels import compiled
 
-# Kinds of events, and their names: a blow-up is a kink's, at which it becomes a vertical step
+# Kinds of events, and their names. At a blow-up a kink becomes a vertical step.
 BIRTH, MERGE, EXIT, BLOW_UP = range(4)
 EVENTS = ("birth", "merge", "exit", "blow-up")
-GROWTH, CREST_LOWERING = 0, 1  # entries of `totals`
+TOE_GAIN, CREST_LOWERING = 0, 1  # entries of `totals`
 STEPS, HIGHEST_LABEL, LOGGED = range(3)  # entries of `counts`
 
 
 class Journal(NamedTuple):
-    """What loops that advance fronts write down.
+    """Records of the loops that advance fronts.
 
-    Each of these loops is advance(fronts, n, t, end, control, .., journal). It returns the number of fronts that are
-    left and whether they have arrived at the time `end`: they stop on the way where time steps become too small.
+    Each of these loops is advance(fronts, n, t, end, control, .., journal). It returns the remaining number of fronts,
+    and True if the fronts have reached the time `end`. A loop stops earlier if time steps become too small.
 
     Attributes:
-        log: rows (t, kind of event, kink, into, x); `into` is the kink that lives on after a merge, otherwise 0.
-        totals: ∫(K_left - 1) dt and ∫F(0) dt, by GROWTH and CREST_LOWERING.
-        counts: integers: the time steps, the highest label and the rows logged, by STEPS, HIGHEST_LABEL and LOGGED.
+        log: rows (t, kind of event, kink, into, x); `into` is the label of the surviving kink of a merge, otherwise 0.
+        totals: ∫(K_left - 1) dt, which is the outflow at the toe less the supply, and ∫F(0) dt; indexed by TOE_GAIN and
+            CREST_LOWERING.
+        counts: integers: the time steps, the highest label and the rows logged, indexed by STEPS, HIGHEST_LABEL and
+            LOGGED.
     """
 
     log: np.ndarray
@@ -32,7 +34,7 @@ class Journal(NamedTuple):
 
 @compiled
 def note(journal, t, kind, kink, into, x):
-    """Add a row to the log if there is room."""
+    """Add a row to the log unless the log is full."""
     log, row = journal.log, journal.counts[LOGGED]
     if row < log.shape[0]:
         log[row, 0], log[row, 1], log[row, 2], log[row, 3], log[row, 4] = t, kind, kink, into, x

@@ -1,8 +1,8 @@
-"""An erosion law in the variables of the invariant.
+"""Tabulated erosion law in the variables of the invariant.
 
-Where I = W + R(q) is constant in x, r = R(q) obeys (ln r)_x = -f and K/r is constant (theory, §5). A law enters as
-polynomials over rho = ln r, and with it the coordinate s(rho) = q exp(..) in which that flow is linear:
-s(x) = s(0) exp(-rate x), rate = 1/R'(0). For the rational law r = 1 + q and s = q.
+Where I = W + R(q) is constant in x, r = R(q) satisfies (ln r)_x = -f, and K/r is constant (theory, §5). The tables are
+polynomials over rho = ln r. They contain the coordinate s(rho) = q exp(..) in which the decay is linear: s(x) = s(0)
+exp(-rate x), rate = 1/R'(0). For the rational law r = 1 + q and s = q.
 """
 
 import math
@@ -17,9 +17,9 @@ class LawTable(NamedTuple):
     """Polynomials on pieces of equal width, in the local variable of [-1, 1]; all empty for the rational law.
 
     Attributes:
-        f, s: over rho, rows of coefficients from the constant up.
+        f, s: over rho, rows of coefficients from the constant upwards.
         rho: over sigma = ln(1 + s/offset).
-        start, sigma_start: where the pieces begin.
+        start, sigma_start: the left ends of the first pieces.
         density: pieces per unit of rho, and of sigma.
         offset: -s at r = 0.
         rate: 1/R'(0).
@@ -37,9 +37,9 @@ class LawTable(NamedTuple):
 
 @compiled
 def polynomial(table, start, density, x):
-    """A piecewise polynomial of degree 7; the end pieces are continued.
+    """Evaluate a piecewise polynomial of degree 7; the pieces at both ends are continued.
 
-    Terms in pairs, not by Horner's rule: in a sweep each front waits for the one before.
+    Terms are summed in pairs, not by Horner's rule, because in a sweep each front waits for the one before.
     """
     s = (x - start) * density
     piece = min(max(int(s), 0), table.shape[0] - 1)
@@ -52,13 +52,13 @@ def polynomial(table, start, density, x):
 
 @compiled
 def law_f(rho, law):
-    """f at rho."""
+    """Return f at rho."""
     return polynomial(law.f, law.start, law.density, rho)
 
 
 @compiled
 def law_derivatives(rho, law):
-    """f, df/drho and d²f/drho² at rho."""
+    """Return f, df/drho and d²f/drho² at rho."""
     s = (rho - law.start) * law.density
     piece = min(max(int(s), 0), law.f.shape[0] - 1)
     c, z = law.f[piece], 2.0 * (s - piece) - 1.0
@@ -73,7 +73,7 @@ def law_derivatives(rho, law):
 
 @compiled
 def law_flow(rho, h, law):
-    """rho at a distance h (of either sign) to the right, where I is constant; not below the table's least."""
+    """Return rho at a distance h (of either sign) to the right at constant I, not below the lower end of the table."""
     s = polynomial(law.s, law.start, law.density, rho) * math.exp(-law.rate * h)
     sigma = math.log1p(s / law.offset) if s > -law.offset else law.sigma_start
     return polynomial(law.rho, law.sigma_start, law.density, max(sigma, law.sigma_start))
@@ -81,7 +81,7 @@ def law_flow(rho, h, law):
 
 @compiled
 def law_decay(r, h, law):
-    """r at a distance h (of either sign) to the right, where I is constant."""
+    """Return r at a distance h (of either sign) to the right at constant I."""
     if law.f.shape[0] == 0:
         return 1.0 + (r - 1.0) * math.exp(-h)
     return math.exp(law_flow(math.log(r), h, law))
@@ -89,7 +89,7 @@ def law_decay(r, h, law):
 
 @compiled
 def law_q_f(r, law):
-    """q and f at r."""
+    """Return q and f at r."""
     if law.f.shape[0] == 0:
         return r - 1.0, 1.0 - 1.0 / r
     f = law_f(math.log(r), law)
@@ -98,9 +98,9 @@ def law_q_f(r, law):
 
 @compiled
 def start_pieces(mass, h, law, r):
-    """Fills r at the left ends of pieces of constant I with the given lengths and masses: r - r(h) = mass.
+    """Fill r at the left ends of pieces of constant I with the given lengths and masses: r - r(h) = mass.
 
-    The left side increases with r; ln r is bracketed, then found by bisection and secant steps in turn.
+    The left side increases with r. The root ln r is bracketed, then found by alternating bisection and secant steps.
     """
     low0, high0 = law.start, law.start + law.f.shape[0] / law.density
     for i in range(h.size):

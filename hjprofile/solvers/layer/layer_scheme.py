@@ -1,4 +1,4 @@
-"""The bed below a rolling layer of finite thickness (theory, §8)."""
+"""Scheme for the bed below a rolling layer of finite thickness (theory, §8)."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from hjprofile.solvers.run import Array, Breakdown
 class WithLayer(FirstOrder):
     """The telescoping flux below a rolling layer of finite thickness, by the 2x2 model (theory, §8).
 
-    With ε the flux that is poured in, the layer is ε H thick. H lives on the cells, empty at first; K is the flux of
-    grains at the nodes in the last step, in units of ε. For ε -> 0 this is `FirstOrder`.
-    `growth` counts the grains that the layer holds as well: then the volume budget is the conservation of grains.
+    With ε the supplied flux, the thickness of the layer is ε H. H lives on the cells and is initially 0; K is the grain
+    flux at the nodes in the last step, relative to ε. For ε -> 0 the scheme is `FirstOrder`. `toe_gain` includes the
+    grains in the layer, so the volume budget is the conservation of grains.
     """
 
-    memory: tuple[str, ...] = ("q", "H", "K", "W_left", "growth", "crest_lowering")
+    checkpoint_fields: tuple[str, ...] = ("q", "H", "K", "W_left", "toe_gain", "crest_lowering")
 
     def __init__(
         self, law: GridLaw, grid: Grid, q: Array, W_left: float, inflow: float, flux: Flux, supply_flux: float
@@ -40,13 +40,13 @@ class WithLayer(FirstOrder):
         return speed
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
-        self.keep()
+        self.save()
         self.q, self.H, self.K = self.q.copy(), self.H.copy(), self.K.copy()
         taken = steps if dt > 0.0 else 0
-        speed, grown, crest_lowering = layer_pass(
+        speed, toe_gain, crest_lowering = layer_pass(
             self.q, self.H, self.K, self.F, self.grid.dx, dt, taken, bound, self.supply_flux, self.inflow
         )
         self.W_left -= dt * steps * self.inflow
-        self.growth += grown
+        self.toe_gain += toe_gain
         self.crest_lowering += crest_lowering
         return float(speed)

@@ -1,4 +1,4 @@
-"""Laws of linear growth on grids: a scheme that lets vertical steps form, and what finds them (theory, §14)."""
+"""Laws of linear growth on grids: a scheme in which vertical steps form, and their detection (theory, §14)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hjprofile.solvers.vertical_steps.step_monitor import StepMonitor, with_date
 
 
 class StepsOnGrid:
-    """The monitor of vertical steps of a run on a grid, and what it adds to the run."""
+    """The monitor of vertical steps of a run on a grid, as an extension of the run."""
 
     def __init__(self, problem: Problem, grid: Grid, scheme: Scheme):
         self.problem, self.grid = problem, grid
@@ -31,7 +31,7 @@ class StepsOnGrid:
         self.hidden = self.steps.hidden
 
     def complete(self, run: Run) -> Run:
-        """Return the run with its steps, numbered after all kinks: a grid does not show from which kink one came."""
+        """Return the run with its vertical steps, numbered after all kinks: a grid cannot identify their kinks."""
         taken = max([k.kink for k in run.kinks] + [e.kink for e in run.events], default=0)
         vertical_steps, more = self.steps.result(taken)
         exact = isinstance(self.problem.profile, Kinks)
@@ -42,18 +42,18 @@ class StepsOnGrid:
 class SecondOrderTelescoping(FirstOrder):
     """F̂_i = (K_{i-1/2} - K_{i+1/2})/Δx with K in the middle of cells, for laws of linear growth; Heun's method.
 
-    Whatever these K are, a step moves with (K⁻ - K⁺)/m; q >= 0 and q <= 0 stay so where cfl <= 1 (theory, §14).
+    For any such K a vertical step moves with (K⁻ - K⁺)/m; q >= 0 and q <= 0 are preserved if cfl <= 1 (theory, §14).
     """
 
     def __init__(self, law: GridLaw, grid: Grid, q: Array, W_left: float, inflow: float, flux: Flux):
         super().__init__(law, grid, q, W_left, inflow, flux)
         self.cfl_limit = 0.5
         self.steep = float(telescoping.steepest_slope(grid.dx, step_law(law.law)))
-        self.room = np.empty((4, grid.cells))
+        self.work = np.empty((4, grid.cells))
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
-        self.keep()
-        f, df, *dq = self.room
+        self.save()
+        f, df, *dq = self.work
         fastest = 0.0
         for _ in range(steps):
             q = self.q
@@ -65,7 +65,7 @@ class SecondOrderTelescoping(FirstOrder):
                 )
                 fastest = max(fastest, speed)
                 q = self.q + dt * dq[0]
-                self.growth += 0.5 * dt * (K_left - 1.0)
+                self.toe_gain += 0.5 * dt * (K_left - 1.0)
                 self.crest_lowering += 0.5 * dt * F_top
             self.q = 0.5 * (self.q + (q + dt * dq[1]))
             self.W_left -= dt * self.inflow

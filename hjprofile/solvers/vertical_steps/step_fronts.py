@@ -1,7 +1,7 @@
 """Fronts under a law of linear growth: kinks that become vertical steps (theory, §14).
 
-Kinks alone are integrated to rounding by an adaptive method of order 8, each blow-up, meeting and exit found in its own
-time; what is made of smooth data moves by classical Runge-Kutta steps, second order in the number of fronts.
+If the data are kinks only, an adaptive method of order 8 integrates them to rounding and locates each blow-up, merge
+and exit in time. Fronts of smooth data move by classical Runge-Kutta steps, with second order in the number of fronts.
 """
 
 from __future__ import annotations
@@ -21,40 +21,40 @@ from hjprofile.solvers.vertical_steps.kernels.step_motion import StepControl, St
 from hjprofile.solvers.vertical_steps.kernels.step_transitions import transitions
 from hjprofile.solvers.vertical_steps.kernels.steps import StepFronts, StepLaw, StepSides
 
-PIECE = 0.1  # width of the pieces in ln(1+q): degree 7 leaves (PIECE/4)^8 = 2e-13
-END = np.log(1e12)  # ln(1+q) that stands for an infinite slope: the rest of R is then 1e-12
-REACH = 4.0  # spacings that the fastest front may cross in a step: then time adds little to the error of space
+V_PIECE = 0.1  # width of the pieces in ln(1+q): degree 7 leaves (PIECE/4)^8 = 2e-13
+END = np.log(1e12)  # ln(1+q) of an infinite slope: the remainder of R is then 1e-12
+REACH = 4.0  # spacings that the fastest front may cross in a step: the error in time is then below that in space
 TOLERANCE = 1e-12  # of the exact integration
-FINER = 1 / 8  # part of the mean spacing by which steps in time are measured: fronts crowd at a vertical step
+FINER = 1 / 8  # spacing of the time step control, as a fraction of the mean: fronts are crowded at a vertical step
 _Z = np.cos(np.pi * (np.arange(8) + 0.5) / 8)
 _FIT = np.linalg.inv(np.vander(_Z, 8, increasing=True)).T
-AT_ONCE = 1e-11  # distance within which an event at the end of an exact integration has taken place
+AT_ONCE = 1e-11  # distance within which an event at the end of an exact integration counts as past
 
 
 def step_law(law: ErosionLaw, q_least: float = -0.5) -> StepLaw:
-    """Tables over v = ln(1+q) of a law of linear growth, for slopes from `q_least` on.
+    """Return the tables over v = ln(1+q) of a law of linear growth, for slopes from `q_least` on.
 
-    In a piece of constant I, R' q_x = -q: dx/dv = -R' e^v/q. The distance from q = ∞ is summed from there; around
-    q = 0, where it is infinite, y = 1 - σ with σ = exp(-rate d) from d ln|σ|/dv = rate R' e^v/q.
+    In a piece of constant I, R' q_x = -q: dx/dv = -R' e^v/q. The distance from q = ∞ is summed from there. Around q =
+    0, where it is infinite, y = 1 - σ with σ = exp(-rate d) from d ln|σ|/dv = rate R' e^v/q.
     """
-    below, above = int(np.ceil(-np.log1p(q_least) / PIECE + 0.5)), int(np.ceil(END / PIECE))
-    start, pieces = -(below + 0.5) * PIECE, below + above + 1
-    left = start + PIECE * np.arange(pieces)
-    v = left[:, None] + 0.5 * PIECE * (_Z + 1.0)
+    below, above = int(np.ceil(-np.log1p(q_least) / V_PIECE + 0.5)), int(np.ceil(END / V_PIECE))
+    start, pieces = -(below + 0.5) * V_PIECE, below + above + 1
+    left = start + V_PIECE * np.arange(pieces)
+    v = left[:, None] + 0.5 * V_PIECE * (_Z + 1.0)
     q = np.expm1(v)
     r, slope = law.R(q), law.R_derivative(q)
     r0, rate = float(law.R(0.0)), 1.0 / float(law.R_derivative(0.0))
 
     def primitive(values: Array) -> Array:
-        """Coefficients of ∫ over each piece from its left end."""
-        return P.polyint((values @ _FIT).T, lbnd=-1.0, axis=0) * (0.5 * PIECE)
+        """Return the coefficients of ∫ over each piece from its left end."""
+        return P.polyint((values @ _FIT).T, lbnd=-1.0, axis=0) * (0.5 * V_PIECE)
 
     gap = slope * np.exp(v) / q  # -dx/dv
-    joint = below + 1 + int(np.ceil(np.log(2.0) / PIECE))  # the piece from which on distances are summed
+    joint = below + 1 + int(np.ceil(np.log(2.0) / V_PIECE))  # the first piece in which distances are summed
     distance = primitive(gap)
     to_the_end = np.append(np.cumsum(P.polyval(1.0, distance[:, joint:])[::-1])[::-1], 0.0)
     d = to_the_end[:-1, None] - P.polyval(_Z, distance[:, joint:])
-    # beyond the table the distance falls like (1+q)^-2
+    # beyond the table the distance decreases like (1+q)^-2
     d += 0.5 * float(gap[-1, 0])
     age = np.empty_like(v)
     age[joint:] = -np.log(-np.expm1(-rate * d))
@@ -77,19 +77,20 @@ def step_law(law: ErosionLaw, q_least: float = -0.5) -> StepLaw:
     )
     r_at, age_at = (np.append(P.polyval(-1.0, t.T), P.polyval(1.0, t[-1])) for t in (r_table, age_table))
     return StepLaw(
-        r_table, age_table, df_table, area_table, r_at, age_at, start, 1.0 / PIECE, float(left[-1] + PIECE),
+        r_table, age_table, df_table, area_table, r_at, age_at, start, 1.0 / V_PIECE, float(left[-1] + V_PIECE),
         r0, float(r_at[-1]), law.eta0, rate,
     )  # fmt: skip
 
 
 def _wait(event: Callable, rates: Callable, t: float, state: Array, h: float = 1e-7) -> float:
-    """How long ago an event of this state was, by its rate of change."""
+    """Return the time since an event of this state, by its rate of change."""
     rate = rates(t, state)
     now = event(t, state)
     return float(h * now / (event(t, state + h * rate) - now)) if now else 0.0
 
 
 def _start_of_pieces(law: ErosionLaw, table: StepLaw, mass: Array, h: Array) -> Array:
+    """Return r at the left ends of pieces."""
     v = np.empty_like(mass)
     kernels.start_pieces(mass, h, table, v)
     return law.R(np.expm1(v))
@@ -99,7 +100,7 @@ LINEAR = Pieces(lambda law, least, ceiling: step_law(law, least), _start_of_piec
 
 
 class StepTracker(Tracker):
-    """Kinks and steps on their way."""
+    """Moving kinks and vertical steps."""
 
     def __init__(self, data: FrontData, law: StepLaw, exact: bool, end: float = 1.0):
         capacity = max(data.x.size, 1) + (0 if exact else data.x.size + 64)
@@ -118,7 +119,7 @@ class StepTracker(Tracker):
             self._note(transitions(self.fronts, self.n, 0.0, quantum, strong, law, self.sides, self.journal))
 
     def advance(self, target: float) -> None:
-        """To the time `target`, if steps are not too small for that; events are noted."""
+        """Advance to the time `target` unless steps become too small; record events."""
         if self.exact:
             self.arrived = self._advance_exactly(target)
         else:
@@ -127,12 +128,13 @@ class StepTracker(Tracker):
         self.t = target
 
     def _sweep(self, x: Array | None = None, y: Array | None = None) -> StepSides:
-        """Fill the sides of the fronts that there are, and return the arrays."""
+        """Fill the sides of the current fronts, and return the arrays."""
         x, y = self.x if x is None else x, self.y if y is None else y
         kernels.sweep(x, y, self.fronts, self.n, self.n - 1, self.law, self.sides)
         return self.sides
 
     def _advance_exactly(self, end: float) -> bool:
+        """Advance kinks and vertical steps to rounding; return True if the end is reached."""
         from scipy.integrate import solve_ivp
 
         law = self.law
@@ -150,7 +152,7 @@ class StepTracker(Tracker):
                 return -float(state[n - 1])
 
             def blow_up(_: float, state: Array, n: int = n, is_step: Array = is_step) -> float:
-                """The smallest difference between R under an infinite slope and R on the right of a kink."""
+                """Return the smallest difference between R of an infinite slope and R on the right of a kink."""
                 left = law.r_most - self._sweep(state[:n], state[n : 2 * n]).r_left[:n] - self.jump[:n]
                 return float(np.min(left[~is_step], initial=1.0))
 
@@ -166,7 +168,7 @@ class StepTracker(Tracker):
                 self.journal.counts[STEPS] += part.t.size - 1
                 state, t = part.y[:, -1], float(part.t[-1])
                 occurred = [times.size > 0 for times in part.t_events]
-                if any(occurred):  # found on an interpolant, which is not as good as the steps
+                if any(occurred):  # located on an interpolant, which is less accurate than the steps
                     event = (meet, leave, blow_up)[occurred.index(True)]
                     for _ in range(2):
                         t = float(np.clip(t - _wait(event, rates, t, state), self.t, end))
@@ -182,7 +184,7 @@ class StepTracker(Tracker):
         return True
 
     def _due(self) -> list[bool]:
-        """Return the events that have taken place to rounding; the integration misses those just ahead of it."""
+        """Return the events that have occurred to rounding; the integration misses those just ahead of it."""
         n = self.n
         if not n:
             return [False, False, False]
@@ -191,7 +193,7 @@ class StepTracker(Tracker):
         return [bool(gap <= AT_ONCE) for gap in gaps]
 
     def _meet_or_leave(self, occurred: list[bool]) -> None:
-        """What the events make of the fronts; those of other kinds at the same moment follow in the next round."""
+        """Update the fronts after events; events of other kinds at the same time follow in the next round."""
         n, sides = self.n, self._sweep()
         if occurred[1]:
             self.n -= 1
@@ -218,26 +220,28 @@ class StepTracker(Tracker):
         self._note(self.n)
 
     def read(self, nodes: Array) -> tuple[Array, Array]:
-        """W and K at the nodes; at a step those on its right."""
+        """Return W and K at the nodes; at a vertical step the values on its right."""
         W, K = np.empty_like(nodes), np.empty_like(nodes)
         kernels.read(self.fronts, self.n, self.law, self.sides, nodes, W, K)
         return W, K
 
     def volume(self) -> float:
-        """∫W dx."""
+        """Return ∫W dx."""
         return float(kernels.volume(self.fronts, self.n, self._sweep(), self.law))
 
     def least(self) -> float:
+        """Return the smallest q on the right of a front."""
         return float(np.expm1(self._sweep().v_right[: self.n].min(initial=0.0)))
 
     def _kink_sides(self) -> Iterator[tuple[int, float, float, float]]:
+        """Yield index, q on both sides and speed of each kink."""
         sides = self._sweep()
         left, right = np.expm1(sides.v_left[: self.n]), np.expm1(sides.v_right[: self.n])
         for j in np.flatnonzero((self.label > 0)[: self.n] & ~self.is_step[: self.n]).tolist():
             yield j, float(left[j]), float(right[j]), float(sides.speed[j])
 
     def vertical_steps(self) -> list[VerticalStep]:
-        """The steps now, from left to right."""
+        """Return the current vertical steps, from left to right."""
         sides = self._sweep()
         return [
             VerticalStep(self.t, int(self.label[j]), float(self.x[j]), float(sides.height[j]), float(sides.speed[j]))

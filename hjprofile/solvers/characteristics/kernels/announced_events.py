@@ -1,4 +1,4 @@
-"""What announces the events of characteristics: folds of X, and distances that shrink to 0 (theory, §5).
+"""Signs that announce the events of characteristics: folds of X, and distances that shrink to 0 (theory, §5).
 
 The conventions are those of `kernels.labels`.
 """
@@ -10,12 +10,12 @@ import numpy as np
 from hjprofile.solvers.characteristics.kernels.labels import after_start, before_end, dot, weights
 from hjprofile.solvers.kernels import compiled
 
-STEEP = 0.5  # least X_ξ at the points of a panel, as a part of the largest, above which it has no fold between them
-NEAR = 0.02  # X_ξ below which its least is found by Newton's method
+NO_FOLD_RATIO = 0.5  # smallest by largest X_ξ at the points of a panel above which there is no fold between them
+NEAR_FOLD = 0.02  # X_ξ below which its minimum is found by Newton's method
 
 
 class Fine(NamedTuple):
-    """Where a fold is searched for.
+    """The fine positions at which a fold is searched for.
 
     Attributes:
         s: positions in a panel, shape (fine,).
@@ -30,11 +30,11 @@ class Fine(NamedTuple):
 
 
 class Signs(NamedTuple):
-    """Values that turn negative at an event, and what they are made of.
+    """Values that become negative at an event, and the numbers from which they are computed.
 
     Attributes:
-        low, high: local range of each panel in which labels are alive, empty (high <= low) where none is.
-        fold, place: the least X_ξ on the living part of each panel, and its local position.
+        low, high: local range of each panel in which labels are alive, empty (high <= low) if there are none.
+        fold, place: the smallest X_ξ on the living part of each panel, and its local position.
         merge: width of the living labels between shocks k - 1 and k; infinite for k = 0.
         left, right: distances of the labels of shock k from a joint across which fields are not analytic.
         ends: -x of the last shock, infinite without shocks, and the distance of the label at x = 0 from such a joint.
@@ -51,7 +51,7 @@ class Signs(NamedTuple):
 
 
 @compiled
-def living(mesh, off, off_top, low, high):
+def living(mesh, off, off_crest, low, high):
     """Fill the local range of each panel in which labels are alive."""
     low[:] = -1.0
     high[:] = 1.0
@@ -64,14 +64,14 @@ def living(mesh, off, off_top, low, high):
             p, s = before_end(off[k, 0], k, mesh)
             high[p] = s
             high[p + 1 : mesh.first[k + 1]] = -1.0
-    p, s = before_end(off_top[0], shocks, mesh)
+    p, s = before_end(off_crest[0], shocks, mesh)
     high[p] = s
     high[p + 1 :] = -1.0
 
 
 @compiled
 def to_joint(mesh, p, last, towards):
-    """Width of the panels from p on up to the first joint across which fields are not analytic."""
+    """Return the width of the panels from p on up to the first joint across which fields are not analytic."""
     total = 2.0 * mesh.half[p]
     while p != last and mesh.joined[p if towards < 0 else p + 1]:
         p += towards
@@ -81,13 +81,13 @@ def to_joint(mesh, p, last, towards):
 
 @compiled
 def fold_of(p, X, mesh, rule, fine, low, high, w):
-    """The least X_ξ on the living part of panel p, and its local position."""
+    """Return the smallest X_ξ on the living part of panel p, and its local position."""
     least = most = 0.0
     for i in range(w.size):
         slope = dot(X[p], rule.D, i)
         least = slope if i == 0 or slope < least else least
         most = slope if i == 0 or slope > most else most
-    if least > STEEP * most and least > NEAR * mesh.half[p]:
+    if least > NO_FOLD_RATIO * most and least > NEAR_FOLD * mesh.half[p]:
         return least / mesh.half[p], 0.0
     best, at = np.inf, -1
     for i in range(fine.s.size):
@@ -98,7 +98,7 @@ def fold_of(p, X, mesh, rule, fine, low, high, w):
     if at < 0:
         return np.inf, 0.0
     s, best = fine.s[at], best / mesh.half[p]
-    if best < NEAR:
+    if best < NEAR_FOLD:
         start = max(fine.s[max(at - 1, 0)], low)
         end = min(fine.s[min(at + 1, fine.s.size - 1)], high)
         trial = s
@@ -122,11 +122,11 @@ def fold_of(p, X, mesh, rule, fine, low, high, w):
 
 
 @compiled
-def find_signs(X, mesh, off, off_top, rule, fine, signs):
+def find_signs(X, mesh, off, off_crest, rule, fine, signs):
     """Fill the signs of a state with at least one panel."""
     shocks, first = off.shape[0], mesh.first
     w = np.empty(rule.s.size)
-    living(mesh, off, off_top, signs.low, signs.high)
+    living(mesh, off, off_crest, signs.low, signs.high)
     for p in range(X.shape[0]):
         signs.fold[p] = np.inf
         if signs.high[p] > signs.low[p]:
@@ -143,4 +143,4 @@ def find_signs(X, mesh, off, off_top, rule, fine, signs):
             p, s = after_start(off[k, 1], shocks, mesh)
             weights(rule, s, w)
             signs.ends[0] = -(mesh.base[p] + dot(w, X, p))
-    signs.ends[1] = to_joint(mesh, X.shape[0] - 1, first[shocks], -1) - off_top[0]
+    signs.ends[1] = to_joint(mesh, X.shape[0] - 1, first[shocks], -1) - off_crest[0]

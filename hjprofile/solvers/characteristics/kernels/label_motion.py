@@ -1,4 +1,4 @@
-"""Loops of shock-fitted characteristics: rates of r = R(q) and X over labels, steps, and reading (theory, §5).
+"""Loops of shock-fitted characteristics: rates of r = R(q) and X over labels, steps, and evaluation (theory, §5).
 
 The conventions are those of `kernels.labels`.
 """
@@ -8,9 +8,9 @@ import math
 import numpy as np
 
 from hjprofile.solvers.characteristics.kernels.labels import (
-    BEYOND,
-    CLOSE,
-    NOISE,
+    MAX_LOCAL,
+    RESIDUAL_FOUND,
+    RESIDUAL_LOST,
     after_start,
     at_label,
     before_end,
@@ -22,14 +22,14 @@ from hjprofile.solvers.characteristics.kernels.labels import (
 from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.dormand_prince import STAGES, interpolant, state_at, step_error
 
-FOUND_ALL, NOT_ADMISSIBLE = 0, -1  # what `find_labels` returns; 1 + k where the labels of shock k are lost
+FOUND_ALL, NOT_ADMISSIBLE = 0, -1  # values that `find_labels` returns, besides 1 + k if the labels of shock k are lost
 
 
 @compiled
 def find_labels(y, t, medium, shocks, unborn):
-    """Find the labels of shocks and of x = 0 in a state; return FOUND_ALL, NOT_ADMISSIBLE or 1 + k for a lost shock k.
+    """Find the labels of shocks and of x = 0; return FOUND_ALL, NOT_ADMISSIBLE or 1 + k for a lost shock k.
 
-    Nothing but its age is known of a shock born at the time `unborn`, whose fold the state does not hold yet.
+    Of a shock born at the time `unborn`, whose fold the state does not contain yet, only the age is used.
     """
     mesh, rule, law = medium.mesh, medium.rule, medium.law
     P, n = mesh.I.shape
@@ -51,26 +51,26 @@ def find_labels(y, t, medium, shocks, unborn):
                 continue
         if not shock_labels(k, shocks.off, r, X, mesh, rule, law, w):
             return 1 + k
-    at, top_X, rounding = shocks.top[0], 0.0, 1.0
+    at, crest_X, rounding = shocks.crest[0], 0.0, 1.0
     for _ in range(30):  # the label at x = 0
         p, s = before_end(at, count, mesh)
-        if not abs(s) <= BEYOND:
+        if not abs(s) <= MAX_LOCAL:
             return NOT_ADMISSIBLE
-        _, top_X, _, slope = at_label(p, s, r, X, mesh, rule, w)
-        rounding = max(1.0, abs(top_X))
-        top_X += mesh.base[p]
-        if abs(top_X) <= CLOSE * rounding or not slope > 0.0:
+        _, crest_X, _, slope = at_label(p, s, r, X, mesh, rule, w)
+        rounding = max(1.0, abs(crest_X))
+        crest_X += mesh.base[p]
+        if abs(crest_X) <= RESIDUAL_FOUND * rounding or not slope > 0.0:
             break
-        at += top_X * mesh.half[p] / slope
-    if not abs(top_X) <= NOISE * rounding:
+        at += crest_X * mesh.half[p] / slope
+    if not abs(crest_X) <= RESIDUAL_LOST * rounding:
         return NOT_ADMISSIBLE
-    shocks.top[0] = at
+    shocks.crest[0] = at
     return FOUND_ALL
 
 
 @compiled
 def find_flux(r, medium, shocks, stages):
-    """Fill S and c of ln K = ln r + S + c, from right to left; r at x = 0 is returned."""
+    """Fill S and c of ln K = ln r + S + c, from right to left; return r at x = 0."""
     mesh, rule, S, c = medium.mesh, medium.rule, stages.S, stages.c
     n, count = mesh.I.shape[1], shocks.off.shape[0]
     w = np.empty(n)
@@ -84,10 +84,10 @@ def find_flux(r, medium, shocks, stages):
                 for i in range(n):
                     S[p, i] += g * rule.B[j, i]
             right = S[p, 0]
-    p, s = before_end(shocks.top[0], count, mesh)
+    p, s = before_end(shocks.crest[0], count, mesh)
     weights(rule, s, w)
-    top = dot(w, r, p)
-    c[count] = -math.log(top) - dot(w, S, p)
+    crest = dot(w, r, p)
+    c[count] = -math.log(crest) - dot(w, S, p)
     for k in range(count - 1, -1, -1):
         p, s = after_start(shocks.off[k, 1], k + 1, mesh)
         weights(rule, s, w)
@@ -97,20 +97,20 @@ def find_flux(r, medium, shocks, stages):
             weights(rule, s, w)
             c[k] = log_K - math.log(dot(w, r, p)) - dot(w, S, p)
         else:
-            c[k] = log_K  # of the flat slope on the left
-    return top
+            c[k] = log_K  # of the neutral slope on the left
+    return crest
 
 
 @compiled
 def rates(y, t, medium, shocks, stages, unborn, out):
-    """dy/dt for y = (r, X, ∫(K_left - 1), ∫F(0)); finds labels and flux on the way, and returns as `find_labels`."""
+    """Fill dy/dt for y = (r, X, ∫(K_left - 1), ∫F(0)), with labels and flux; return the result of `find_labels`."""
     mesh, law = medium.mesh, medium.law
     P, n = mesh.I.shape
     found = find_labels(y, t, medium, shocks, unborn)
     if found != FOUND_ALL:
         return found
     r = y[: P * n].reshape(P, n)
-    top = find_flux(r, medium, shocks, stages)
+    crest = find_flux(r, medium, shocks, stages)
     for k in range(shocks.off.shape[0] + 1):
         for p in range(mesh.first[k], mesh.first[k + 1]):
             for i in range(n):
@@ -122,15 +122,15 @@ def rates(y, t, medium, shocks, stages, unborn, out):
     if mesh.first[0] < mesh.first[1]:
         log_K += math.log(r[0, 0]) + stages.S[0, 0]
     out[2 * P * n] = math.exp(log_K) - 1.0
-    out[2 * P * n + 1] = law_terms(top, law)[0]
+    out[2 * P * n + 1] = law_terms(crest, law)[0]
     return FOUND_ALL
 
 
 @compiled
 def step(y, start, h, origin, tableau, medium, shocks, stages, new):
-    """Fill `new` by a step by h > 0 from `start`, in t, or in z = sqrt(t - origin) where `origin` is not NaN.
+    """Fill `new` by a step by h > 0 from `start`, in t, or in z = sqrt(t - origin) if `origin` is not NaN.
 
-    Return the error estimate (largest entry), and as `rates`.
+    Return the error estimate (largest entry), and the result of `find_labels`.
     """
     for i in range(STAGES + 1):
         found = _stage(i, y, start, h, origin, tableau, medium, shocks, stages, new)
@@ -141,7 +141,7 @@ def step(y, start, h, origin, tableau, medium, shocks, stages, new):
 
 @compiled
 def within(y, start, h, origin, tableau, medium, shocks, stages, new, F):
-    """Fill the coefficients F of `state_within` after a step that `step` has made; return as `rates`."""
+    """Fill the coefficients F of `state_within` after a step of `step`; return the result of `find_labels`."""
     state = np.empty(y.size)
     for i in range(STAGES + 1, STAGES + 4):
         found = _stage(i, y, start, h, origin, tableau, medium, shocks, stages, state)
@@ -153,7 +153,7 @@ def within(y, start, h, origin, tableau, medium, shocks, stages, new, F):
 
 @compiled
 def _stage(i, y, start, h, origin, tableau, medium, shocks, stages, state):
-    """Fill the state and the rate of stage i; return as `rates`."""
+    """Fill the state and the rate of stage i; return the result of `find_labels`."""
     k, in_root = stages.rates, origin == origin
     state_at(i, y, h, k, tableau, state)
     part = 1.0
@@ -161,7 +161,7 @@ def _stage(i, y, start, h, origin, tableau, medium, shocks, stages, state):
         part = np.sum(tableau.A[i]) if i < STAGES else np.sum(tableau.A_more[i - STAGES - 1])
     z = start + h * part
     t = origin + z * z if in_root else z
-    # all rates by z vanish at a birth: the second stage has the state of the first, at a later time
+    # all derivatives by z vanish at a birth: the second stage has the state of the first, at a later time
     unborn = origin if i == 1 and start == 0.0 else math.nan
     found = rates(state, t, medium, shocks, stages, unborn, k[i])
     if found == FOUND_ALL and in_root:
@@ -172,7 +172,7 @@ def _stage(i, y, start, h, origin, tableau, medium, shocks, stages, state):
 
 @compiled
 def _label_of_place(p, x, s, ends, r, X, mesh, rule, w):
-    """The label of panel p, between the two ends, that is at x: Newton's method from s, within a bracket."""
+    """Return the label of panel p, between the two ends, at position x: Newton's method from s, within a bracket."""
     a, b = ends
     for _ in range(60):
         _, at, _, slope = at_label(p, s, r, X, mesh, rule, w)
@@ -190,9 +190,9 @@ def _label_of_place(p, x, s, ends, r, X, mesh, rule, w):
 
 @compiled
 def read(y, mesh, rule, low, high, stages, nodes, W_out, K_out):
-    """W and K at increasing `nodes`: label by label where it is alive, low[p] <= s <= high[p], between shocks' places.
+    """Fill W and K at increasing `nodes`, panel by panel over the living labels low[p] <= s <= high[p] between shocks.
 
-    The flux as `rates` leaves it.
+    The flux is the one that `rates` computed last.
     """
     S, c = stages.S, stages.c
     P, n = mesh.I.shape
@@ -232,7 +232,7 @@ def read(y, mesh, rule, low, high, stages, nodes, W_out, K_out):
 
 @compiled
 def first_alive(low, high):
-    """The first panel with a living label."""
+    """Return the first panel with a living label."""
     for p in range(low.size):
         if high[p] > low[p]:
             return p

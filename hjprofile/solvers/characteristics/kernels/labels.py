@@ -1,9 +1,10 @@
-"""Labels of characteristics on panels of Chebyshev points, and those that meet in a shock (theory, §5).
+"""Labels of characteristics on panels of Chebyshev points, and the pairs of labels that meet in a shock (theory, §5).
 
-The position of a label is base[p] + X, with X = 0 where its panel p begins at the start: far from x = 0 its rounding is
-then that of the way that it has gone, not of x. Segments of panels lie between shocks. A shock holds the distances
-`off` of its two labels from the joint between its segments: to the left in the segment before, to the right in the
-segment after. They solve X⁻ = X⁺, W⁻ = W⁺. Labels beyond them are dead, and follow the formula of their own segment.
+The position of a label is base[p] + X, with X = 0 at the start where its panel p begins. Far from x = 0 its rounding
+error is then relative to the distance travelled, not to x. Segments of panels lie between shocks. A shock holds the
+distances `off` of its two labels from the joint between its segments: to the left in the segment before, to the right
+in the segment after. They solve X⁻ = X⁺, W⁻ = W⁺. Labels beyond them are dead: they follow the formula of their own
+segment.
 """
 
 import math
@@ -14,11 +15,11 @@ import numpy as np
 from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.law import LawTable, law_derivatives
 
-# Residuals of X and W, for a way X of at most 1 and as parts of a longer one
-CLOSE = 4e-15  # at which a shock's labels are found; below it Newton's step is noise
-FOUND = 1e-13  # at which they are as good as rounding allows, when it falls no further
-NOISE = 1e-11  # beyond which the label at x = 0 is lost
-BEYOND = 1.5  # how far the polynomial of a panel may be continued, in its local variable
+# Residuals of X and W, absolute for a distance X of at most 1 and relative for a longer one
+RESIDUAL_FOUND = 4e-15  # at which the labels of a shock are found; below it Newton's step is rounding
+RESIDUAL_ACCEPTED = 1e-13  # at which they are accepted if the residual decreases no further
+RESIDUAL_LOST = 1e-11  # above which the label at x = 0 is lost
+MAX_LOCAL = 1.5  # largest local variable to which the polynomial of a panel may be continued
 
 
 class Rule(NamedTuple):
@@ -37,13 +38,13 @@ class Rule(NamedTuple):
 
 
 class Mesh(NamedTuple):
-    """What is frozen in the labels. Panels from left to right, in segments.
+    """The fixed data of the labels: panels from left to right, in segments.
 
     Attributes:
         I, dI: the invariant and its derivative by the local variable, shape (panels, points).
         half: half the width of a panel in the label.
         base: the position from which X is measured.
-        joined: whether fields are analytic across the left end of a panel.
+        joined: True if fields are analytic across the left end of a panel.
         first: the first panel of each segment, and one past the last; the first segment may be empty (q = 0).
     """
 
@@ -56,7 +57,7 @@ class Mesh(NamedTuple):
 
 
 class Medium(NamedTuple):
-    """What stays the same in a step: the mesh, the rule of its panels and the erosion law."""
+    """Constants of a step: the mesh, the rule of its panels and the erosion law."""
 
     mesh: Mesh
     rule: Rule
@@ -64,23 +65,23 @@ class Medium(NamedTuple):
 
 
 class Shocks(NamedTuple):
-    """The labels of shocks, which a state decides, as they were found last.
+    """The labels of shocks, which follow from a state, as they were found last.
 
     Attributes:
         off: distances of each shock's labels from its joint, shape (shocks, 2).
         birth, power, tau: of a young shock, whose `off` scale with (t - birth)^power from the age tau; later power = 0.
-        top: distance of the label at x = 0 from the last joint, shape (1,).
+        crest: distance of the label at x = 0 from the last joint, shape (1,).
     """
 
     off: np.ndarray
     birth: np.ndarray
     power: np.ndarray
     tau: np.ndarray
-    top: np.ndarray
+    crest: np.ndarray
 
 
 class Stages(NamedTuple):
-    """What the stages of a step leave.
+    """Results of the stages of a step.
 
     Attributes:
         S, c: ln K = ln r + S + c in the last one, S at the points of panels, c for each segment.
@@ -94,7 +95,7 @@ class Stages(NamedTuple):
 
 @compiled
 def weights(rule, s, w):
-    """Fills w so that w @ values is the interpolant at s."""
+    """Fill w so that w @ values is the interpolant at s."""
     total = 0.0
     for j in range(w.size):
         d = s - rule.s[j]
@@ -111,7 +112,7 @@ def weights(rule, s, w):
 
 @compiled
 def dot(w, values, p):
-    """w @ values[p] for short rows."""
+    """Return w @ values[p] for short rows."""
     total = 0.0
     for j in range(w.size):
         total += w[j] * values[p, j]
@@ -120,7 +121,7 @@ def dot(w, values, p):
 
 @compiled
 def at_label(p, s, r, X, mesh, rule, w):
-    """Return r, X, W and dX/ds at a place in panel p; leave the weights in w."""
+    """Return r, X, W and dX/ds at the local position s in panel p; fill the weights w."""
     weights(rule, s, w)
     slope = 0.0
     for i in range(w.size):
@@ -131,7 +132,7 @@ def at_label(p, s, r, X, mesh, rule, w):
 
 @compiled
 def before_end(off, k, mesh):
-    """Panel and local place of the label `off` left of the end of segment k."""
+    """Return panel and local position of the label `off` left of the end of segment k."""
     p = mesh.first[k + 1] - 1
     while off > 2.0 * mesh.half[p] and p > mesh.first[k] and mesh.joined[p]:
         off -= 2.0 * mesh.half[p]
@@ -141,7 +142,7 @@ def before_end(off, k, mesh):
 
 @compiled
 def after_start(off, k, mesh):
-    """Panel and local place of the label `off` right of the start of segment k."""
+    """Return panel and local position of the label `off` right of the start of segment k."""
     p = mesh.first[k]
     while off > 2.0 * mesh.half[p] and p + 1 < mesh.first[k + 1] and mesh.joined[p + 1]:
         off -= 2.0 * mesh.half[p]
@@ -151,7 +152,7 @@ def after_start(off, k, mesh):
 
 @compiled
 def law_terms(r, law):
-    """f, df/drho and q at r."""
+    """Return f, df/drho and q at r."""
     if law.f.shape[0] == 0:
         return 1.0 - 1.0 / r, 1.0 / r, r - 1.0
     f, f1, _ = law_derivatives(math.log(r), law)
@@ -160,13 +161,13 @@ def law_terms(r, law):
 
 @compiled
 def newton_labels(k, off, r, X, mesh, rule, law, w):
-    """Labels of shock k by Newton's method from `off`: with W_ξ = q X_ξ it is closed form. Returns whether found."""
+    """Find the labels of shock k by Newton's method from `off`, in closed form by W_ξ = q X_ξ; return True if found."""
     empty = mesh.first[k] == mesh.first[k + 1]
     b0, b1 = off[k, 0], off[k, 1]
     best, rounding = 1e300, 1.0
     for _ in range(25):
         p, s = after_start(b1, k + 1, mesh)
-        if not abs(s) <= BEYOND:
+        if not abs(s) <= MAX_LOCAL:
             break
         r1, X1, W1, slope1 = at_label(p, s, r, X, mesh, rule, w)
         half1, base1, rounding = mesh.half[p], mesh.base[p], max(1.0, abs(X1))
@@ -175,7 +176,7 @@ def newton_labels(k, off, r, X, mesh, rule, law, w):
             off_X, off_W, slope0, q0, half0 = 0.0, -W1, 1.0, 0.0, 1.0
         else:
             p, s = before_end(b0, k, mesh)
-            if not abs(s) <= BEYOND:
+            if not abs(s) <= MAX_LOCAL:
                 break
             r0, X0, W0, slope0 = at_label(p, s, r, X, mesh, rule, w)
             half0 = mesh.half[p]
@@ -188,9 +189,9 @@ def newton_labels(k, off, r, X, mesh, rule, law, w):
         if size < best:
             best = size
             off[k, 0], off[k, 1] = b0, b1
-            if size <= CLOSE * rounding:
+            if size <= RESIDUAL_FOUND * rounding:
                 return True
-        elif best <= FOUND * rounding:
+        elif best <= RESIDUAL_ACCEPTED * rounding:
             return True
         if not q1 > q0 or slope0 <= 0.0 or slope1 <= 0.0:
             break
@@ -200,12 +201,12 @@ def newton_labels(k, off, r, X, mesh, rule, law, w):
             b0 -= min(max(move0, -0.5 * half0), 0.5 * half0)
         b1 += min(max(move1, -0.5 * half1), 0.5 * half1)
         b0, b1 = max(b0, 0.0), max(b1, 0.0)
-    return best <= FOUND * rounding
+    return best <= RESIDUAL_ACCEPTED * rounding
 
 
 @compiled
-def beside(side, k, off, r, X, mesh, rule, w):
-    """Return local place, X, W and X_ξ of the label `off` left (side = -1.0) or right (1.0) of the joint of shock k.
+def at_joint(side, k, off, r, X, mesh, rule, w):
+    """Return local position, X, W and X_ξ of the label `off` left (side = -1.0) or right (1.0) of the joint of shock k.
 
     X is measured from the base of the panel right of the joint.
     """
@@ -216,12 +217,12 @@ def beside(side, k, off, r, X, mesh, rule, w):
 
 @compiled
 def fold(side, k, r, X, mesh, rule, w):
-    """Least `off` beyond which X rises with the label; NaN if it is not on the panels at the joint."""
+    """Return the smallest `off` beyond which X increases with the label; NaN if not on the panels at the joint."""
     step = 0.1 * mesh.half[mesh.first[k + 1] - 1 if side < 0.0 else mesh.first[k + 1]]
     low = high = 0.0
     while True:
-        s, _, _, slope = beside(side, k, high, r, X, mesh, rule, w)
-        if not abs(s) <= BEYOND:
+        s, _, _, slope = at_joint(side, k, high, r, X, mesh, rule, w)
+        if not abs(s) <= MAX_LOCAL:
             return math.nan
         if slope > 0.0:
             break
@@ -230,7 +231,7 @@ def fold(side, k, r, X, mesh, rule, w):
         step *= 1.2
     while high > 0.0 and high - low > 1e-15 + 1e-13 * high:
         middle = 0.5 * (low + high)
-        if beside(side, k, middle, r, X, mesh, rule, w)[3] > 0.0:
+        if at_joint(side, k, middle, r, X, mesh, rule, w)[3] > 0.0:
             high = middle
         else:
             low = middle
@@ -239,12 +240,12 @@ def fold(side, k, r, X, mesh, rule, w):
 
 @compiled
 def label_of(side, k, target, of_W, start, r, X, mesh, rule, w):
-    """The `off` beyond `start` at which X (or W, if of_W = 1.0 and not 0.0) is `target`; NaN if not on the panels."""
+    """Return the `off` beyond `start` at which X (W if of_W = 1.0, not 0.0) is `target`; NaN if not on the panels."""
     step = mesh.half[mesh.first[k + 1] - 1 if side < 0.0 else mesh.first[k + 1]]
     low, high = start, start + 0.1 * step
     while True:
-        s, at, W, _ = beside(side, k, high, r, X, mesh, rule, w)
-        if not abs(s) <= BEYOND:
+        s, at, W, _ = at_joint(side, k, high, r, X, mesh, rule, w)
+        if not abs(s) <= MAX_LOCAL:
             return math.nan
         if (at + of_W * (W - at) - target) * side >= 0.0:
             break
@@ -253,7 +254,7 @@ def label_of(side, k, target, of_W, start, r, X, mesh, rule, w):
         step *= 1.2
     for _ in range(60):
         middle = 0.5 * (low + high)
-        _, at, W, _ = beside(side, k, middle, r, X, mesh, rule, w)
+        _, at, W, _ = at_joint(side, k, middle, r, X, mesh, rule, w)
         if (at + of_W * (W - at) - target) * side >= 0.0:
             high = middle
         else:
@@ -263,7 +264,7 @@ def label_of(side, k, target, of_W, start, r, X, mesh, rule, w):
 
 @compiled
 def bracket_labels(k, off, r, X, mesh, rule, w):
-    """Labels of shock k to start Newton's method from: between the folds of X, W⁻ - W⁺ falls with x."""
+    """Bracket the labels of shock k between the folds of X, where W⁻ - W⁺ decreases with x, for Newton's method."""
     right = fold(1.0, k, r, X, mesh, rule, w)
     if mesh.first[k] == mesh.first[k + 1]:
         off[k, 1] = label_of(1.0, k, 0.0, 1.0, right, r, X, mesh, rule, w)
@@ -271,7 +272,7 @@ def bracket_labels(k, off, r, X, mesh, rule, w):
     left = fold(-1.0, k, r, X, mesh, rule, w)
     if not (left >= 0.0 and right >= 0.0):
         return False
-    low, high = beside(1.0, k, right, r, X, mesh, rule, w)[1], beside(-1.0, k, left, r, X, mesh, rule, w)[1]
+    low, high = at_joint(1.0, k, right, r, X, mesh, rule, w)[1], at_joint(-1.0, k, left, r, X, mesh, rule, w)[1]
     if not low < high:
         return False
     b0 = b1 = 0.0
@@ -281,7 +282,7 @@ def bracket_labels(k, off, r, X, mesh, rule, w):
         b1 = label_of(1.0, k, x, 0.0, right, r, X, mesh, rule, w)
         if b0 != b0:
             low = x
-        elif b1 != b1 or beside(-1.0, k, b0, r, X, mesh, rule, w)[2] < beside(1.0, k, b1, r, X, mesh, rule, w)[2]:
+        elif b1 != b1 or at_joint(-1.0, k, b0, r, X, mesh, rule, w)[2] < at_joint(1.0, k, b1, r, X, mesh, rule, w)[2]:
             high = x
         else:
             low = x
@@ -295,15 +296,15 @@ def bracket_labels(k, off, r, X, mesh, rule, w):
 
 @compiled
 def shock_labels(k, off, r, X, mesh, rule, law, w):
-    """Fill the labels of shock k by Newton's method, or between the folds; return whether they are found.
+    """Fill the labels of shock k by Newton's method, or between the folds; return True if they are found.
 
-    X rises with the label at both, unless the shock is newborn and both labels are at the joint.
+    X increases with the label at both, unless the shock is newborn and both labels are at the joint.
     """
     if newton_labels(k, off, r, X, mesh, rule, law, w):
         if max(off[k, 0], off[k, 1]) == 0.0:
             return True
         empty = mesh.first[k] == mesh.first[k + 1]
-        rising = empty or beside(-1.0, k, off[k, 0], r, X, mesh, rule, w)[3] > 0.0
-        if rising and beside(1.0, k, off[k, 1], r, X, mesh, rule, w)[3] > 0.0:
+        rising = empty or at_joint(-1.0, k, off[k, 0], r, X, mesh, rule, w)[3] > 0.0
+        if rising and at_joint(1.0, k, off[k, 1], r, X, mesh, rule, w)[3] > 0.0:
             return True
     return bracket_labels(k, off, r, X, mesh, rule, w) and newton_labels(k, off, r, X, mesh, rule, law, w)

@@ -1,4 +1,4 @@
-"""Front tracking to rounding: adaptive steps of order 8, each merge and exit found in its own time.
+"""Exact front tracking: adaptive steps of order 8, with each merge and exit located in time.
 
 The conventions are those of `front_state`.
 """
@@ -11,19 +11,19 @@ from hjprofile.solvers.fronts.kernels.front_merging import merge, note_events
 from hjprofile.solvers.fronts.kernels.front_state import crest_flux, speeds, sweep
 from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.dormand_prince import STAGES, Tableau, state_at, step_error
-from hjprofile.solvers.kernels.journal import CREST_LOWERING, GROWTH, STEPS
+from hjprofile.solvers.kernels.journal import CREST_LOWERING, STEPS, TOE_GAIN
 
-TOGETHER = 1e-13  # fronts no further apart are at one place
-AT_END = 1e-11  # ... and at the end of an integration, where rounding can put an event just behind it
-ALIKE = 1e-10  # relative difference of speeds below which fronts at one place stay there
-IDLE = 1000  # steps in a row that bring nothing before the integration gives up
+COINCIDENT = 1e-13  # fronts no further apart count as coincident
+COINCIDENT_AT_END = 1e-11  # the same at the end of an integration, where rounding can delay an event beyond it
+EQUAL_SPEEDS = 1e-10  # relative difference of speeds below which coincident fronts stay together
+MAX_STALLED_STEPS = 1000  # consecutive steps without progress in time after which the integration fails
 
 
 class ExactControl(NamedTuple):
     """Control of the integration.
 
     Attributes:
-        strong: jump above which a front that has merged is a kink.
+        strong: jump above which a merged front is a kink.
         tolerance: largest error of one step.
         tableau: the coefficients of a step.
     """
@@ -35,9 +35,9 @@ class ExactControl(NamedTuple):
 
 @compiled
 def rates_of(y, jump, n, medium, sides, rate):
-    """Speeds of n fronts, then K_left - 1 and F(0): the state y is their places and the integrals of these two.
+    """Fill the speeds of n fronts, then K_left - 1 and F(0): the state y holds positions and the two integrals.
 
-    The last piece is continued to x = 0 even where a trial step takes the last front beyond: so the rate is smooth.
+    The last piece is continued to x = 0 even if a trial step moves the last front beyond x = 0, so the rate is smooth.
     """
     speeds(y, jump, n, n - 1, medium, sides, rate)
     rate[n] = sides.K[0] - 1.0
@@ -46,7 +46,7 @@ def rates_of(y, jump, n, medium, sides, rate):
 
 @compiled
 def step(y, rates, dt, jump, n, medium, sides, tableau, new):
-    """Fills `new` by one step from y, of which rates[0] is the rate."""
+    """Fill `new` by one step from y, whose rate is rates[0]."""
     for stage in range(1, STAGES):
         state_at(stage, y, dt, rates, tableau, new)
         rates_of(new, jump, n, medium, sides, rates[stage])
@@ -55,32 +55,32 @@ def step(y, rates, dt, jump, n, medium, sides, tableau, new):
 
 @compiled
 def least_gap(y, before, n):
-    """The least distance of two neighbours or of the last front from x = 0, and where (n - 1: at x = 0).
+    """Return the smallest distance of two neighbours, or of the last front from x = 0, and its index (n - 1: at x = 0).
 
-    Negative where an event has passed. Neighbours that were together `before` are fans that open: no event.
+    It is negative after an event. Neighbours that coincided `before` are opening fans and not counted.
     """
     least, at = -y[n - 1], n - 1
     for j in range(n - 1):
-        if before[j + 1] - before[j] > TOGETHER and y[j + 1] - y[j] < least:
+        if before[j + 1] - before[j] > COINCIDENT and y[j + 1] - y[j] < least:
             least, at = y[j + 1] - y[j], j
     return least, at
 
 
 @compiled
 def fan_fails_to_open(y, before, n):
-    """Whether neighbours that were together have changed places."""
-    return np.any((np.diff(before[:n]) <= TOGETHER) & (np.diff(y[:n]) < -0.1 * TOGETHER))
+    """Return True if neighbours that coincided have changed their order."""
+    return np.any((np.diff(before[:n]) <= COINCIDENT) & (np.diff(y[:n]) < -0.1 * COINCIDENT))
 
 
 @compiled
 def first_crossing(y, new, rates, dt, n):
-    """The fraction of a step at which, by cubic interpolation, the first event falls; `rates` are those at its ends."""
+    """Return the fraction of a step at the first event, by cubic interpolation from the `rates` at both ends."""
     first = 1.0
     for j in range(n):
         if j < n - 1:
             a, b = y[j + 1] - y[j], new[j + 1] - new[j]
             da, db = dt * (rates[0, j + 1] - rates[0, j]), dt * (rates[12, j + 1] - rates[12, j])
-            if a <= TOGETHER:
+            if a <= COINCIDENT:
                 continue
         else:
             a, b, da, db = -y[j], -new[j], -dt * rates[0, j], -dt * rates[12, j]
@@ -99,9 +99,9 @@ def first_crossing(y, new, rates, dt, n):
 
 @compiled
 def narrowed(low, g_low, high, g_high, side, theta, gap):
-    """Replace the end of a bracket on whose side `gap`, the value at theta, lies; `side` is the end replaced last.
+    """Replace the end of a bracket on the side of the value `gap` at theta; `side` is the end that was replaced last.
 
-    The value at the other end is halved where that end stays for a second time (Illinois' rule).
+    The value at the other end is halved if that end stays for a second time (Illinois rule).
     """
     if gap > 0.0:
         return theta, gap, high, 0.5 * g_high if side == 1 else g_high, 1
@@ -110,52 +110,52 @@ def narrowed(low, g_low, high, g_high, side, theta, gap):
 
 @compiled
 def first_event(y, rates, dt, jump, n, medium, sides, tableau, new):
-    """From `new`, a step beyond an event, back to the first one: how long a step that takes, and which pair has met.
+    """Set `new`, a step beyond an event, to the state at the first event; return the length of that step and the pair.
 
-    By Illinois' rule of false position on the fraction of the step.
+    The fraction of the step is found by the Illinois variant of false position.
     """
     low, high, side = 0.0, 1.0, 0
     g_low, g_high = least_gap(y, y, n)[0], least_gap(new, y, n)[0]
-    theta, used, met = first_crossing(y, new, rates, dt, n), dt, -1
+    theta, used, pair = first_crossing(y, new, rates, dt, n), dt, -1
     for _ in range(60):
         used = theta * dt
         step(y, rates, used, jump, n, medium, sides, tableau, new)
-        gap, met = least_gap(new, y, n)
-        if abs(gap) <= 2e-15 * max(1.0, abs(new[met])) or high - low <= 2e-16:
+        gap, pair = least_gap(new, y, n)
+        if abs(gap) <= 2e-15 * max(1.0, abs(new[pair])) or high - low <= 2e-16:
             break
         low, g_low, high, g_high, side = narrowed(low, g_low, high, g_high, side, theta, gap)
         theta = low + (high - low) * g_low / (g_low - g_high)
-    if met == n - 1:
+    if pair == n - 1:
         new[n - 1] = 0.0
-    return used, met
+    return used, pair
 
 
 @compiled
 def advance_exactly(fronts, n, t, end, control, medium, work, journal):
-    """As `moving_fronts.advance`, by adaptive steps of order 8, and each merge and exit found in its own time.
+    """Advance fronts as `moving_fronts.advance` does, by adaptive steps of order 8 that locate each merge and exit.
 
-    The root of an event is found on the fraction of the step; every evaluation is a step, so an event has full order.
-    Return n and whether `end` is reached: not where many steps in a row bring nothing.
+    The root of an event is found in the fraction of the step. Each evaluation is a step, so an event has full order.
+    Return n, and True if `end` is reached: False after many consecutive steps without progress.
     """
     x, jump, sides, rates, totals = fronts.x, fronts.jump, work.sides, work.rate, journal.totals
     tableau, stalled = control.tableau, 0
     dt = 0.01 * (end - t)
-    met = -1  # the pair (met, met + 1) of an event
+    pair = -1  # the pair (pair, pair + 1) of an event
     while n > 0:
-        # fronts at one place that do not part are one front: after an event, and in the data
+        # coincident fronts that do not separate are one front: after an event, and in the data
         rates_of(x, jump, n, medium, sides, rates[0])
-        if put_together(x, rates[0], n, met, TOGETHER if t < end else AT_END, t >= end):
+        if put_together(x, rates[0], n, pair, COINCIDENT if t < end else COINCIDENT_AT_END, t >= end):
             sweep(x, jump, n, n - 1, medium, sides)
             n = merge(fronts, n, t, medium.law, sides, rates[0], work.stack, journal)
             n = note_events(fronts, n, t, control.strong, rates[0], journal)
-            met = -1
+            pair = -1
             continue
         if t >= end:
             break
 
         y, new = work.trial[: n + 2], work.new[: n + 2]
         y[:n] = x[:n]
-        y[n], y[n + 1] = totals[GROWTH], totals[CREST_LOWERING]
+        y[n], y[n + 1] = totals[TOE_GAIN], totals[CREST_LOWERING]
         dt = min(dt, end - t)
         while True:
             step(y, rates, dt, jump, n, medium, sides, tableau, new)
@@ -171,29 +171,29 @@ def advance_exactly(fronts, n, t, end, control, medium, work, journal):
                 break
         used = dt
         if least_gap(new, y, n)[0] < 0.0:
-            used, met = first_event(y, rates, dt, jump, n, medium, sides, tableau, new)
+            used, pair = first_event(y, rates, dt, jump, n, medium, sides, tableau, new)
         stalled = stalled + 1 if used < 1e-13 * end else 0
-        if stalled > IDLE:
+        if stalled > MAX_STALLED_STEPS:
             return n, False
         t = end if used == end - t else t + used
         x[:n] = new[:n]
-        totals[GROWTH], totals[CREST_LOWERING] = new[n], new[n + 1]
+        totals[TOE_GAIN], totals[CREST_LOWERING] = new[n], new[n + 1]
         journal.counts[STEPS] += 1
         dt *= min(2.0, 0.9 * error**-0.125) if error > 0.0 else 2.0
     return n, True
 
 
 @compiled
-def put_together(x, speed, n, met, near, at_end):
-    """Put fronts that are one out of order, to be merged; return whether there are any, or one that leaves.
+def put_together(x, speed, n, pair, near, at_end):
+    """Put fronts that have become one out of order, to be merged; return True if there are any, or if one leaves.
 
-    They are the pair (met, met + 1), and neighbours no further apart than `near` that do not part.
+    These are the pair (pair, pair + 1), and neighbours that are no further apart than `near` and do not separate.
     """
     together = False
     if at_end and x[n - 1] >= -near:
         x[n - 1] = 0.0
     for j in range(n - 2, -1, -1):
-        if j == met or (x[j + 1] - x[j] <= near and speed[j] > (1.0 - ALIKE) * speed[j + 1]):
+        if j == pair or (x[j + 1] - x[j] <= near and speed[j] > (1.0 - EQUAL_SPEEDS) * speed[j + 1]):
             x[j] = x[j + 1] + 4e-15 * max(1.0, abs(x[j + 1]))
             together = True
     return together or x[n - 1] >= 0.0

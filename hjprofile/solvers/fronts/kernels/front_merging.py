@@ -11,11 +11,11 @@ from hjprofile.solvers.kernels.law import law_decay, law_q_f
 
 
 class Stack(NamedTuple):
-    """Fronts in order, on which those that follow are laid or merge.
+    """A stack of fronts in order, onto which later fronts are pushed or merged.
 
     Attributes:
         x, jump, label, first_merge, speed: of the front.
-        first: the leftmost of the fronts of which it is made.
+        first: the leftmost of the fronts that it consists of.
     """
 
     x: np.ndarray
@@ -28,9 +28,10 @@ class Stack(NamedTuple):
 
 @compiled
 def meeting(xa, ra, xb, rb, jump, span, law):
-    """Where the piece left of front a and the piece right of front b have the same W; `jump` is I_b - I_a between them.
+    """Return the position at which the piece left of front a and the piece right of front b have the same W.
 
-    There a merged front keeps W continuous and the mass to its right unchanged. `span` is the extent of all that merge.
+    The jump of I from a to b is `jump`. A merged front at this position keeps W continuous and the mass to its right
+    unchanged. `span` is the extent of all fronts that merge.
     """
     if law.f.shape[0] == 0:
         # 1 + (rb-1) e^{-(x-xb)} - 1 - (ra-1) e^{-(x-xa)} = jump; distances from the middle
@@ -49,17 +50,17 @@ def meeting(xa, ra, xb, rb, jump, span, law):
             x += dx
             if abs(dx) < 1e-15:
                 break
-    # Between xa and xb if both fronts jump the same way, outside if they do not; a front whose net jump vanishes has no
-    # place of its own.
+    # The position lies between xa and xb if both jumps have the same sign, outside otherwise. It is undefined if the
+    # net jump vanishes.
     m, most = 0.5 * (xa + xb), 20.0 * span
     return min(max(x, m - most), m + most) if x == x else m
 
 
 @compiled
 def merge(fronts, n, t, law, sides, speed, stack, journal):
-    """Merge fronts that are out of order, also several at once; return how many are left.
+    """Merge fronts that are out of order, also several at once; return the number of remaining fronts.
 
-    The log takes the time at which two kinks met within the step that ends at t.
+    The log receives the time at which two kinks met within the step that ends at t.
     """
     x, jump, label, first_merge = fronts.x, fronts.jump, fronts.label, fronts.first_merge
     r_left, r_right, stack_x, stack_jump = sides.r_left, sides.r_right, stack.x, stack.jump
@@ -102,9 +103,9 @@ def merge(fronts, n, t, law, sides, speed, stack, journal):
 
 @compiled
 def note_events(fronts, n, t, strong, speed, journal):
-    """Number the kinks that were born, drop the fronts that left; return how many fronts there are.
+    """Label the kinks that were born and remove the fronts that left; return the number of fronts.
 
-    A front that has merged is a kink once its jump is above `strong`; it was born when it first merged.
+    A merged front becomes a kink when its jump exceeds `strong`; its birth is its first merge.
     """
     x, jump, label, first_merge = fronts.x, fronts.jump, fronts.label, fronts.first_merge
     for j in range(n):

@@ -1,4 +1,4 @@
-"""W, K and the volume of fronts, in the conventions of `front_state`."""
+"""Evaluation of W, K and the volume of fronts, in the conventions of `front_state`."""
 
 import math
 
@@ -6,18 +6,18 @@ from hjprofile.solvers.fronts.kernels.front_state import sweep
 from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.law import law_decay, law_q_f
 
-WIDE = 64.0  # times the area of a piece, up to which W between two fronts is read by a cubic
-STILL = 4e-16  # relative change of r over a part of a piece, where q has decayed to nothing
+WIDE = 64.0  # jump times length of a piece, relative to its area, up to which a cubic interpolates W
+STILL = 4e-16  # relative change of r over a part of a piece below which q has decayed to 0
 
 
 @compiled
 def read(fronts, n, area, medium, sides, nodes, W_out, K_out):
-    """W and K at `nodes` (increasing). Sweeps first.
+    """Fill W and K at `nodes` (increasing), after a sweep.
 
-    Between two fronts of a `smooth` stretch: cubic Hermite of W and ln K with the means of the one-sided q and f as
-    slopes (second order; the pieces themselves would make q first order). Beside a kink its own one-sided values;
-    elsewhere the piece, which is exact, and so where the fronts are too far apart for the cubic: where it would leave
-    the range of q, or where a jump times the distance is more than WIDE times `area`.
+    Between two fronts of a `smooth` stretch W and ln K are interpolated by cubic Hermite polynomials, with the means of
+    the one-sided q and f as slopes. This is second order; the pieces themselves would make q first order. At a kink the
+    slope is its own one-sided value. Elsewhere the piece itself is evaluated, which is exact. It also replaces a cubic
+    that would leave the range of q, and one whose jump times length exceeds WIDE times `area`.
     """
     x, jump, label, smooth, law = fronts.x, fronts.jump, fronts.label, fronts.smooth, medium.law
     r_left, r_right, K = sides.r_left, sides.r_right, sides.K
@@ -71,7 +71,7 @@ def read(fronts, n, area, medium, sides, nodes, W_out, K_out):
 
 @compiled
 def cubic_turn(a, mean, b):
-    """The extreme slope inside a cubic with slopes a and b at its ends and the given mean slope; a if there is none."""
+    """Return the extreme slope inside a cubic with end slopes a and b and the given mean slope; a if there is none."""
     linear, square = 2.0 * (3.0 * mean - 2.0 * a - b), 3.0 * (a + b - 2.0 * mean)
     if square == 0.0 or not 0.0 < -linear / (2.0 * square) < 1.0:
         return a
@@ -80,7 +80,10 @@ def cubic_turn(a, mean, b):
 
 @compiled
 def volume(fronts, n, medium, r_right):
-    """∫W dx, by five-point Gauss-Legendre on parts of every piece over which W hardly changes, as far as it changes."""
+    """Return ∫W dx by five-point Gauss-Legendre quadrature on parts of every piece over which W varies little.
+
+    The sum over the parts of a piece stops where W is constant.
+    """
     x, jump, law = fronts.x, fronts.jump, medium.law
     if n == 0:
         return 0.0

@@ -1,7 +1,7 @@
 """Fronts and the pieces between them: one-sided values and speeds.
 
-I = W + R(q) is constant between fronts; there r = R(q) decays as in `kernels.law` and K/r is constant (theory, §5).
-Stretches over which a tabulated law hardly changes, h (1 + |f|) <= `near`, are crossed by a Taylor series.
+I = W + R(q) is constant between fronts. There r = R(q) decays as in `kernels.law`, and K/r is constant (theory, §5).
+Distances over which a tabulated law varies little, h (1 + |f|) <= `near`, are bridged by a Taylor series.
 """
 
 import math
@@ -19,8 +19,8 @@ class Fronts(NamedTuple):
     Attributes:
         x, jump: positions and jumps of I.
         label: the number of the kink that a front is, or 0.
-        first_merge: when another front first merged into it; infinite before.
-        smooth: whether the piece on its right stands for a stretch in which I varies.
+        first_merge: the time of its first merge; infinite before.
+        smooth: True if the piece on its right represents a stretch in which I varies.
     """
 
     x: np.ndarray
@@ -31,7 +31,7 @@ class Fronts(NamedTuple):
 
 
 class Medium(NamedTuple):
-    """What stays the same: r0 = R(0), r on the far left; the reach `near` of the Taylor series; the law."""
+    """Constants of a run: r0 = R(0), which is r on the far left; the reach `near` of the Taylor series; the law."""
 
     r0: float
     near: float
@@ -39,7 +39,7 @@ class Medium(NamedTuple):
 
 
 class Sides(NamedTuple):
-    """At each front r on its left and right, slope = [f]/[q], and K."""
+    """The values at each front: r on its left and right, slope = [f]/[q], and K."""
 
     r_left: np.ndarray
     r_right: np.ndarray
@@ -48,19 +48,19 @@ class Sides(NamedTuple):
 
 
 @compiled
-def top_front(x, n):
-    """The front whose piece on the right holds x = 0."""
-    top = n - 1
-    while top > 0 and x[top] > 0.0:
-        top -= 1
-    return top
+def crest_front(x, n):
+    """Return the index of the front whose piece on the right contains x = 0."""
+    crest = n - 1
+    while crest > 0 and x[crest] > 0.0:
+        crest -= 1
+    return crest
 
 
 @compiled
-def sweep(x, jump, n, top, medium, sides):
-    """Fill the sides of the first n fronts: a sweep right for r, one left for K with K(0) = 1.
+def sweep(x, jump, n, crest, medium, sides):
+    """Fill the sides of the first n fronts: a sweep to the right for r, and one to the left for K with K(0) = 1.
 
-    `jump` holds the jumps of I, x = 0 lies right of front `top`. Positions may be out of order: pieces of negative
+    `jump` holds the jumps of I; x = 0 lies right of front `crest`. Positions may be out of order: pieces of negative
     length continue the same formula.
     """
     law, near = medium.law, medium.near
@@ -95,23 +95,23 @@ def sweep(x, jump, n, top, medium, sides):
                     rho = law_flow(rho_right, h, law)
                 r = math.exp(rho)
     if n > 0:
-        K[top] = r_right[top] / law_decay(r_right[top], -x[top], law)
-    for j in range(top - 1, -1, -1):
+        K[crest] = r_right[crest] / law_decay(r_right[crest], -x[crest], law)
+    for j in range(crest - 1, -1, -1):
         K[j] = K[j + 1] * r_right[j] / r_left[j + 1]
-    for j in range(top + 1, n):
+    for j in range(crest + 1, n):
         K[j] = K[j - 1] * r_left[j] / r_right[j - 1]
 
 
 @compiled
-def speeds(x, jump, n, top, medium, sides, speed):
-    """Fill x' = K [f]/[q] of the first n fronts, and their sides except the slope, which `speed` holds on the way."""
+def speeds(x, jump, n, crest, medium, sides, speed):
+    """Fill x' = K [f]/[q] of the first n fronts, and their sides except the slope; `speed` is the work array for it."""
     K = sides.K
-    sweep(x, jump, n, top, medium, Sides(sides.r_left, sides.r_right, speed, K))
+    sweep(x, jump, n, crest, medium, Sides(sides.r_left, sides.r_right, speed, K))
     for j in range(n):
         speed[j] *= K[j]
 
 
 @compiled
-def crest_flux(x, top, r_right, law):
-    """F = f(q) at x = 0, right of front `top`."""
-    return law_q_f(law_decay(r_right[top], -x[top], law), law)[1]
+def crest_flux(x, crest, r_right, law):
+    """Return F = f(q) at x = 0, right of front `crest`."""
+    return law_q_f(law_decay(r_right[crest], -x[crest], law), law)[1]

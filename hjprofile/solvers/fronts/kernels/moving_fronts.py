@@ -1,4 +1,4 @@
-"""Time steps of fronts, in the conventions of `front_state`."""
+"""Time stepping of fronts, in the conventions of `front_state`."""
 
 import math
 from typing import NamedTuple
@@ -6,28 +6,28 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.solvers.fronts.kernels.front_merging import Stack, merge, note_events
-from hjprofile.solvers.fronts.kernels.front_state import Sides, crest_flux, speeds, top_front
+from hjprofile.solvers.fronts.kernels.front_state import Sides, crest_flux, crest_front, speeds
 from hjprofile.solvers.kernels import compiled
-from hjprofile.solvers.kernels.journal import CREST_LOWERING, GROWTH, STEPS
+from hjprofile.solvers.kernels.journal import CREST_LOWERING, STEPS, TOE_GAIN
 from hjprofile.solvers.kernels.law import law_q_f
 
-STEP_FLOOR = 1e-7  # of the way to a saved time: more steps than it allows, of 0.3 ms each, would take an hour, ...
-REJECTED = 1.2  # times the allowed error, from which on a step is repeated: 4 let a narrow feature's exit pass
-LONGER = 2.0  # times the step before, at most
-CROSSED = 0.35  # times the estimate by fronts that have crossed: measured, it is too large
-MOST_FOLDS = 2.0  # lengths 1/|f|, over which K changes by a factor e, that a front crosses in a step
-PATIENCE = 10_000  # ... but the first ones can be much shorter than those after them
+STEP_FLOOR = 1e-7  # of the time to the next saved time; shorter steps, of 0.3 ms each, would take an hour
+REPEAT_ABOVE = 1.2  # relative to the allowed error; above it a step is repeated; 4 missed the exit of a narrow feature
+MAX_STEP_RATIO = 2.0  # largest ratio of a step to the previous one
+CROSSING_FACTOR = 0.35  # factor of the estimate by fronts that have crossed; measured: the estimate is too large
+MOST_FOLDS = 2.0  # lengths 1/|f|, over which K changes by a factor e, that a front may cross in a step
+MAX_SHORT_STEPS = 10_000  # steps below STEP_FLOOR before a run fails; the first ones can be shorter than later ones
 
 
 class Control(NamedTuple):
     """Control of the time step.
 
     Attributes:
-        strong: jump above which a front that has merged is a kink.
-        allowed: error of W that a unit of time may add, by the motion between events and by fronts that merge late.
+        strong: jump above which a merged front is a kink.
+        allowed: error of W per unit of time that the motion between events and late merges may add.
         longest: longest step.
-        saved: longest time for which unused error is kept for later steps.
-        step: the next step and the time for which error is kept, shape (2,).
+        saved: longest time for which unused error is saved for later steps.
+        step: the next step and the time for which error is saved, shape (2,).
     """
 
     strong: float
@@ -38,13 +38,13 @@ class Control(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Arrays of a time step.
+    """Work arrays of a time step.
 
     Attributes:
-        sides, stack: of the fronts where they are, and of merges.
-        rate: speeds at the stages of a step and at its end, shape (stages + 1, fronts); of exact fronts more columns.
+        sides, stack: the values at the fronts, and the stack of merges.
+        rate: speeds at the stages of a step and at its end, shape (stages + 1, fronts); more columns for exact fronts.
         trial, new: positions at a stage and at the end of a step.
-        eroded: the largest K |f| on the left of each front.
+        max_K_f: the largest K |f| on the left of each front.
     """
 
     sides: Sides
@@ -52,15 +52,16 @@ class Workspace(NamedTuple):
     rate: np.ndarray
     trial: np.ndarray
     new: np.ndarray
-    eroded: np.ndarray
+    max_K_f: np.ndarray
 
 
 @compiled
 def advance(fronts, n, t, end, control, medium, work, journal):
-    """Classical Runge-Kutta steps to `end` for the first n fronts, merging after each step and dropping those at x > 0.
+    """Advance the first n fronts to `end` by classical Runge-Kutta steps; merge after each and remove fronts at x > 0.
 
-    Steps are as long as `control` allows: their error is `motion_error` and, of fronts that have crossed,
-    `crossing_error`. Return n and whether `end` is reached: not where PATIENCE steps fall below STEP_FLOOR of the way.
+    `control` determines the length of a step from its error, which is the sum of `motion_error`, `crossing_error` of
+    fronts that have crossed, and `exit_error`. Return n, and True if `end` is reached: False after MAX_SHORT_STEPS
+    steps below STEP_FLOOR of the time.
     """
     x, jump, sides, rate, new = fronts.x, fronts.jump, work.sides, work.rate, work.new
     law, r0 = medium.law, medium.r0
@@ -68,28 +69,28 @@ def advance(fronts, n, t, end, control, medium, work, journal):
     fresh = False  # rate[0] and the sweep are those of x
     while t < end and n > 0:
         if not fresh:
-            speeds(x, jump, n, top_front(x, n), medium, sides, rate[0])
-        start = sides.K[0] - 1.0, crest_flux(x, top_front(x, n), sides.r_right, law)
-        most_eroded = fit_folds(n, control, law, work)
+            speeds(x, jump, n, crest_front(x, n), medium, sides, rate[0])
+        start = sides.K[0] - 1.0, crest_flux(x, crest_front(x, n), sides.r_right, law)
+        largest_K_f = fit_folds(n, control, law, work)
         while True:
             dt = control.step[0]
-            if not dt > floor:  # K is without bound below a slope with q near -1
+            if not dt > floor:  # K is unbounded below a slope with q near -1
                 short += 1
-                if short > PATIENCE or not dt > 0.0:
+                if short > MAX_SHORT_STEPS or not dt > 0.0:
                     return n, False
             if dt >= end - t:
                 dt = end - t
             elif 2.0 * dt > end - t:
                 dt = 0.5 * (end - t)
-            growth, crest_lowering = runge_kutta(x, jump, n, dt, start, medium, work)
+            toe_gain, crest_lowering = runge_kutta(x, jump, n, dt, start, medium, work)
             error = motion_error(jump, n, rate[3], rate[4]) * dt / 6.0
-            error += crossing_error(new, jump, n, sides, work.eroded, law) * CROSSED / r0**2 * dt
-            error += exit_error(new, rate[0], n, sides, law) * most_eroded * r0 * dt * dt
+            error += crossing_error(new, jump, n, sides, work.max_K_f, law) * CROSSING_FACTOR / r0**2 * dt
+            error += exit_error(new, rate[0], n, sides, law) * largest_K_f * r0 * dt * dt
             if accepted(control, dt, error):
                 break
         for j in range(n):
             x[j], rate[0, j] = new[j], rate[4, j]
-        journal.totals[GROWTH] += dt / 6.0 * growth
+        journal.totals[TOE_GAIN] += dt / 6.0 * toe_gain
         journal.totals[CREST_LOWERING] += dt / 6.0 * crest_lowering
         journal.counts[STEPS] += 1
         t = end if dt == end - t else t + dt
@@ -102,50 +103,50 @@ def advance(fronts, n, t, end, control, medium, work, journal):
 
 @compiled
 def fit_folds(n, control, law, work):
-    """Shorten the next step until no front crosses more than MOST_FOLDS; fill `eroded` and return its largest."""
-    r_right, K, speed, eroded = work.sides.r_right, work.sides.K, work.rate[0], work.eroded
-    folds = most_eroded = 0.0
+    """Shorten the next step until no front crosses more than MOST_FOLDS; fill `max_K_f`; return its maximum."""
+    r_right, K, speed, max_K_f = work.sides.r_right, work.sides.K, work.rate[0], work.max_K_f
+    folds = largest_K_f = 0.0
     for j in range(n):
         f = abs(law_q_f(r_right[j], law)[1])
-        eroded[j] = most_eroded
-        folds, most_eroded = max(folds, speed[j] * f), max(most_eroded, K[j] * f)
+        max_K_f[j] = largest_K_f
+        folds, largest_K_f = max(folds, speed[j] * f), max(largest_K_f, K[j] * f)
     control.step[0] = min(control.step[0], MOST_FOLDS / folds) if folds > 0.0 else control.step[0]
-    return most_eroded
+    return largest_K_f
 
 
 @compiled
 def runge_kutta(x, jump, n, dt, start, medium, work):
     """Fill the positions after a step and the rates of its stages; return six times the means of K_left - 1 and F(0).
 
-    `start` holds these two at x, and rate[0] the speeds there. The sides are afterwards those of the end of the step.
+    `start` holds these two at x, and rate[0] the speeds there. On return the sides are those at the end of the step.
     """
     sides, rate, trial, new = work.sides, work.rate, work.trial, work.new
-    growth, crest_lowering = start
+    toe_gain, crest_lowering = start
     for stage in range(1, 4):
         part = dt if stage == 3 else 0.5 * dt
         for j in range(n):
             trial[j] = x[j] + part * rate[stage - 1, j]
-        speeds(trial, jump, n, top_front(trial, n), medium, sides, rate[stage])
+        speeds(trial, jump, n, crest_front(trial, n), medium, sides, rate[stage])
         weight = 1.0 if stage == 3 else 2.0
-        growth += weight * (sides.K[0] - 1.0)
-        crest_lowering += weight * crest_flux(trial, top_front(trial, n), sides.r_right, medium.law)
+        toe_gain += weight * (sides.K[0] - 1.0)
+        crest_lowering += weight * crest_flux(trial, crest_front(trial, n), sides.r_right, medium.law)
     for j in range(n):
         new[j] = x[j] + dt / 6.0 * (rate[0, j] + 2.0 * (rate[1, j] + rate[2, j]) + rate[3, j])
-    speeds(new, jump, n, top_front(new, n), medium, sides, rate[4])
-    return growth, crest_lowering
+    speeds(new, jump, n, crest_front(new, n), medium, sides, rate[4])
+    return toe_gain, crest_lowering
 
 
 @compiled
 def accepted(control, dt, error):
-    """Return whether a step has no more than the allowed error; set the length of the next one, or of its repetition.
+    """Return True if the error of a step is allowed; set the length of the next step, or of the repetition of this one.
 
-    Error that is allowed and not used is kept for later steps.
+    Unused error is saved for later steps.
     """
     ratio = error / (control.allowed * (dt + control.step[1]))
-    if ratio <= REJECTED:
+    if ratio <= REPEAT_ABOVE:
         saved = control.step[1] + dt - error / control.allowed
         control.step[1] = min(max(saved, 0.0), control.saved)
-        factor = min(LONGER, 0.9 / math.sqrt(ratio)) if ratio > 0.0 else LONGER
+        factor = min(MAX_STEP_RATIO, 0.9 / math.sqrt(ratio)) if ratio > 0.0 else MAX_STEP_RATIO
         if dt == control.step[0] or factor < 1.0:
             control.step[0] = min(max(factor, 0.2) * dt, control.longest)
         return True
@@ -155,9 +156,9 @@ def accepted(control, dt, error):
 
 @compiled
 def motion_error(jump, n, last, after):
-    """Six times the error of W, per unit of time, of a Runge-Kutta step: the largest sum of jump times displacement.
+    """Return six times the error of W per unit of time of a step: the largest sum of jump times displacement.
 
-    With the speeds after the step in the place of those of its last stage it is of third order.
+    With the speeds after the step instead of those of the last Runge-Kutta stage it is of third order.
     """
     total = largest = 0.0
     for j in range(n):
@@ -169,9 +170,9 @@ def motion_error(jump, n, last, after):
 
 @compiled
 def exit_error(new, speed, n, sides, law):
-    """The error of ln K, by the largest of the fronts that leave within a step, divided by the square of the step.
+    """Return the error of ln K, divided by the square of the step, of the worst front that leaves within a step.
 
-    ∂_t ln K jumps by the front's speed times its jump of f, at a time that the stages of the step do not see.
+    ∂_t ln K jumps by the front's speed times its jump of f, at a time between the stages of the step.
     """
     r_left, r_right = sides.r_left, sides.r_right
     largest = 0.0
@@ -184,26 +185,26 @@ def exit_error(new, speed, n, sides, law):
 
 
 @compiled
-def crossing_error(x, jump, n, sides, eroded, law):
-    """The error of W, per unit of time, by fronts that have crossed and are not merged yet.
+def crossing_error(x, jump, n, sides, max_K_f, law):
+    """Return the error of W per unit of time by fronts that have crossed and are not merged yet.
 
-    Two that overlap by a length d change ln K on their left by their jumps' product times d, and are displaced by as
-    much times K f between them. `eroded` holds the largest K |f| left of each front.
+    Two fronts that overlap by a length d change ln K on their left by the product of their jumps times d. They are
+    displaced by the same amount times K f between them. `max_K_f` holds the largest K |f| left of each front.
     """
     r_left, r_right, K = sides.r_left, sides.r_right, sides.K
     total = 0.0
-    far, strength, beyond = x[0], abs(jump[0]), eroded[0]
+    far, strength, beyond = x[0], abs(jump[0]), max_K_f[0]
     for j in range(1, n):
         if x[j] < far:
             flux = max(beyond, K[j] * abs(law_q_f(r_left[j], law)[1]))
             total += strength * abs(jump[j]) * (far - x[j]) * flux
             strength += abs(jump[j])
         else:
-            far, strength, beyond = x[j], abs(jump[j]), eroded[j]
+            far, strength, beyond = x[j], abs(jump[j]), max_K_f[j]
     far, strength = x[n - 1], abs(jump[n - 1])
     for j in range(n - 2, -1, -1):
         if x[j] > far:
-            flux = max(eroded[j], K[j] * abs(law_q_f(r_right[j], law)[1]))
+            flux = max(max_K_f[j], K[j] * abs(law_q_f(r_right[j], law)[1]))
             total += strength * abs(jump[j]) * (x[j] - far) * flux
             strength += abs(jump[j])
         else:

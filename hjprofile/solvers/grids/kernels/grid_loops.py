@@ -1,18 +1,18 @@
-"""Plain loops of the grid solvers: what is done once for many steps, and reconstructions of higher order.
+"""Loops of the grid solvers that run once for many steps, and reconstructions of higher order.
 
-Nodes carry index 0..N, cells 0..N-1; cell i lies between nodes i and i+1.
+Nodes have the indices 0..N, cells 0..N-1; cell i lies between nodes i and i+1.
 """
 
 from hjprofile.solvers.kernels import compiled, vectorised
 
-FLOOR_SHARE = 0.5  # part of 1 + q by which an edge value may lie from its mean, which keeps q > -1
-NEGLIGIBLE = 1e-40  # differences of W or q that are made none
-GHOSTS = 3  # cells beyond either end that reconstructions may ask for
+FLOOR_SHARE = 0.5  # largest distance of an edge value from its mean, as a fraction of 1 + q; it guarantees q > -1
+NEGLIGIBLE = 1e-40  # differences of W or q that are replaced by 0
+GHOSTS = 3  # cells beyond either end that reconstructions read
 
 
 @compiled
 def exponent(f, dx, E):
-    """∫_x^0 f dξ at the nodes for values f on the cells."""
+    """Fill E with ∫_x^0 f dξ at the nodes for values f on the cells."""
     E[f.size] = 0.0
     for i in range(f.size - 1, -1, -1):
         E[i] = E[i + 1] + f[i] * dx
@@ -20,7 +20,7 @@ def exponent(f, dx, E):
 
 @compiled
 def fastest(K, df):
-    """The largest K f', with each cell's f' and the larger K of its two nodes."""
+    """Return the largest K f', with each cell's f' and the larger K of its two nodes."""
     speed = 0.0
     for i in range(df.size):
         speed = max(speed, max(K[i], K[i + 1]) * df[i])
@@ -29,9 +29,10 @@ def fastest(K, df):
 
 @compiled
 def flat_ends(y, first, last, left, right):
-    """Moves `first` up and `last` down to where y is not `left`, or not `right`; what hardly differs is made the same.
+    """Return `first` moved up and `last` moved down to the first values of y that differ from `left` and `right`.
 
-    Without that a tail that decays for ever would end in denormal numbers.
+    Values that differ by NEGLIGIBLE or less are replaced by `left` or `right`. Otherwise an exponential decay would end
+    in denormal numbers.
     """
     while first < last and abs(y[first] - left) <= NEGLIGIBLE:
         y[first] = left
@@ -44,9 +45,9 @@ def flat_ends(y, first, last, left, right):
 
 @vectorised
 def ghosts(padded):
-    """Fills GHOSTS cells beyond either end by quadratic extrapolation, as far out as twice the last three cells' range.
+    """Fill GHOSTS cells beyond either end by quadratic extrapolation, limited to twice the range of the last cells.
 
-    A bound is needed beside a kink; where q is smooth it is not met.
+    The range is that of the last three cells. The limit is needed next to a kink, and inactive where q is smooth.
     """
     n = padded.size
     for side in range(2):
@@ -61,18 +62,18 @@ def ghosts(padded):
 
 @vectorised
 def edges_eno2(padded, edges):
-    """q on the left of the nodes 0..N by the less steep of the two lines through a cell's mean and a neighbour's."""
+    """Fill q on the left of the nodes 0..N by second-order ENO: the less steep of the lines to either neighbour."""
     for i in range(edges.size):
         q = padded[i + GHOSTS - 1]
-        back, ahead = q - padded[i + GHOSTS - 2], padded[i + GHOSTS] - q
-        half = 0.5 * (back if abs(back) < abs(ahead) else ahead)
+        behind, ahead = q - padded[i + GHOSTS - 2], padded[i + GHOSTS] - q
+        half = 0.5 * (behind if abs(behind) < abs(ahead) else ahead)
         most = FLOOR_SHARE * (1.0 + q)
         edges[i] = q + max(min(half, most), -most)
 
 
 @vectorised
 def edges_weno5(padded, edges):
-    """q on the left of the nodes 0..N by WENO-Z of fifth order (Borges and others, J. Comput. Phys. 227, 2008)."""
+    """Fill q on the left of the nodes 0..N by fifth-order WENO-Z (Borges et al., J. Comput. Phys. 227, 2008)."""
     for i in range(edges.size):
         a, b, q, c, d = padded[i], padded[i + 1], padded[i + 2], padded[i + 3], padded[i + 4]
         q0 = (2.0 * a - 7.0 * b + 11.0 * q) / 6.0
@@ -92,9 +93,10 @@ def edges_weno5(padded, edges):
 
 @vectorised
 def exponent_from_nodes(f, dx, high_order, E):
-    """∫_x^0 f dξ at the nodes 0..N for f at the nodes.
+    """Fill E with ∫_x^0 f dξ at the nodes 0..N for f at the nodes.
 
-    Over a cell by the trapezoidal rule, or by six nodes (sixth order; five of them in the two cells at an end).
+    The integral over a cell uses the trapezoidal rule, or six nodes (sixth order; five nodes in the two cells at each
+    end).
     """
     n = f.size - 1
     E[n] = 0.0

@@ -1,8 +1,8 @@
-"""An erosion law inside the loops of the grid solvers: the rational law by its formula, any other as a table.
+"""Erosion law inside the loops of the grid solvers: the rational law by its formula, any other as a table.
 
-Which one is meant is told by type, so that each is compiled by itself and on demand, with nothing to decide in a loop.
-A formula is evaluated where it is needed; a table is read for all lanes of a loop at once, ahead of it, since reading
-does not vectorise and the rest of the loop should.
+The type of the law selects the code, so each variant is compiled separately and on demand, and a loop contains no
+branch on the law. A formula is evaluated where it is needed. A table is read for all lanes of a loop at once, ahead of
+it, because the reading does not vectorise and the rest of the loop should.
 """
 
 from typing import NamedTuple
@@ -11,8 +11,8 @@ import numpy as np
 
 from hjprofile.solvers.kernels import by_type, vectorised
 
-PIECES = 11  # log2 of the pieces in each binade of 1 + q
-SHIFT = 52 - PIECES  # bits of a double that tell where in its piece 1 + q lies
+PIECES = 11  # log2 of the number of pieces in each binade of 1 + q
+SHIFT = 52 - PIECES  # bits of a double that hold the position of 1 + q within its piece
 LANES = 64  # time levels that the sweeps of wavefront.py advance at once
 
 
@@ -23,8 +23,8 @@ class Rational(NamedTuple):
 class Tabulated(NamedTuple):
     """Parabolas on the pieces into which the leading bits of 1 + q divide the positive numbers.
 
-    With s the distance from a piece's left end, f = c0 + s (c1 + s c2) and f' = c1 + s d1, both continuous: a state
-    that is known to rounding only must not be told apart by the piece that it falls into.
+    With s the distance from a piece's left end, f = c0 + s (c1 + s c2) and f' = c1 + s d1. Both are continuous, so
+    states that differ by rounding have nearly the same f and f', also if they lie in different pieces.
 
     Attributes:
         c0, c1, c2, d1: coefficients, each of shape (pieces,).
@@ -39,7 +39,7 @@ class Tabulated(NamedTuple):
 
 
 class Linear(Tabulated):
-    """The same table, of a law of linear growth: f Δx is not small where the profile jumps (theory, §14)."""
+    """The same table for a law of linear growth: f Δx is not small where the profile jumps (theory, §14)."""
 
 
 @vectorised
@@ -54,13 +54,13 @@ def _double(bits):
 
 @vectorised
 def positive(p):
-    """p, or 0 where it is not a positive number: a pole turns what must not be into an infinite speed."""
+    """Return p, or 0 if p is not a positive number: the speed is then infinite, which marks an inadmissible state."""
     return p if p > 0.0 else 0.0
 
 
 @vectorised
 def _confine(p, law):
-    """Brings an array of lanes into the range of the table."""
+    """Clip an array of lanes to the range of the table."""
     least = _double(law.first << SHIFT)
     most = _double(((law.first + law.c0.size) << SHIFT) - 1)
     for l in range(LANES):
@@ -70,9 +70,9 @@ def _confine(p, law):
 
 @vectorised
 def _place(p, law):
-    """The piece where p lies, and its distance from the piece's left end."""
+    """Return the piece that contains p, and the distance from the left end of the piece."""
     piece = _bits(p) >> SHIFT
-    # unsigned: an index that is not looked at for being negative
+    # unsigned: numba omits the check for a negative index
     return np.uint64(piece - law.first), p - _double(piece << SHIFT)
 
 
@@ -96,7 +96,7 @@ def _read_f(p, law, f):
 
 @by_type
 def slope_at_zero(law):
-    """f'(0)."""
+    """Return f'(0)."""
     if law.instance_class is Rational:
         return lambda law: 1.0
     return lambda law: law.c1[(_bits(1.0) >> SHIFT) - law.first]
@@ -104,13 +104,13 @@ def slope_at_zero(law):
 
 @by_type
 def is_table(law):
-    """Whether the law is read ahead of a loop."""
+    """Return True if the law is read ahead of a loop."""
     return (lambda law: False) if law.instance_class is Rational else (lambda law: True)
 
 
 @by_type
 def read(p, law, f, df):
-    """Fills f and f' at 1 + q = p, arrays of lanes, if the law is a table."""
+    """Fill f and f' at 1 + q = p, arrays of lanes, if the law is a table."""
     if law.instance_class is Rational:
         return lambda p, law, f, df: None
     return lambda p, law, f, df: _read(p, law, f, df)
@@ -118,15 +118,15 @@ def read(p, law, f, df):
 
 @by_type
 def read_f(p, law, f):
-    """Fills f alone."""
+    """Fill f alone at 1 + q = p, if the law is a table."""
     if law.instance_class is Rational:
         return lambda p, law, f: None
     return lambda p, law, f: _read_f(p, law, f)
 
 
 @by_type
-def eroded(l, d, dx, law, f, df):
-    """f(q) dx and f'(q) in lane l for the mass d = q dx of a cell: by formula, or as read into f and df."""
+def cell_law(l, d, dx, law, f, df):
+    """Return f(q) dx and f'(q) in lane l for the mass d = q dx of a cell: by formula, or as read into f and df."""
     if law.instance_class is Rational:
 
         def rational(l, d, dx, law, f, df):
@@ -142,8 +142,8 @@ def eroded(l, d, dx, law, f, df):
 
 
 @by_type
-def eroded_with_mean(l, d, s, dx, law, f, df, f_mean):
-    """The same, and f dx at the mean of two neighbours with masses of sum s."""
+def cell_law_with_mean(l, d, s, dx, law, f, df, f_mean):
+    """Return f(q) dx, f'(q), and f dx at the mean of two neighbours whose masses have the sum s."""
     if law.instance_class is Rational:
 
         def rational(l, d, s, dx, law, f, df, f_mean):
@@ -162,7 +162,7 @@ def eroded_with_mean(l, d, s, dx, law, f, df, f_mean):
 
 @vectorised
 def values(q, law, f, df):
-    """Fills f(q) and f'(q) for a whole array."""
+    """Fill f(q) and f'(q) for a whole array."""
     row, f_row, df_row = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
     for start in range(0, q.size, LANES):
         width = min(LANES, q.size - start)
@@ -174,6 +174,6 @@ def values(q, law, f, df):
             read(row, law, f_row, df_row)
         else:
             for l in range(LANES):
-                f_row[l], df_row[l] = eroded(l, row[l], 1.0, law, f_row, df_row)
+                f_row[l], df_row[l] = cell_law(l, row[l], 1.0, law, f_row, df_row)
         for l in range(width):
             f[start + l], df[start + l] = f_row[l], df_row[l]

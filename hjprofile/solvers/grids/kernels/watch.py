@@ -1,28 +1,28 @@
-"""What is read off a state to judge it: sums and extremes, ln K, and what a step with K frozen makes of it."""
+"""Loops for the monitors: sums and extremes of a state, ln K, and one step with frozen K."""
 
 import numpy as np
 
-from hjprofile.solvers.grids.kernels.sweep_law import LANES, eroded, is_table, read, read_f, values
-from hjprofile.solvers.grids.kernels.wavefront import growth, looks_ahead, node_flux
+from hjprofile.solvers.grids.kernels.sweep_law import LANES, cell_law, is_table, read, read_f, values
+from hjprofile.solvers.grids.kernels.wavefront import exp_quadratic, looks_ahead, node_flux
 from hjprofile.solvers.kernels import vectorised
 
 
 @vectorised
 def survey(q, dx, law, ln_K):
-    """Fills ln K at the nodes by the midpoint rule; returns what bounds are told from.
+    """Fill ln K at the nodes by the midpoint rule; return the quantities from which the bounds are computed.
 
     These are dx Σq, dx Σ|q|, min q, max q, Σ|differences of q|, min and max ln K, dx Σ K f² and Σ|differences of K f²|.
-    Extremes of q are taken with 0. A q that is not above -1 makes dx Σ K f² infinite or not a number.
+    The extremes of q include 0. If some q is not above -1, dx Σ K f² is infinite or NaN.
     """
     n = q.size
-    value, row, f, df, swell = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+    value, row, f, df, K_z2 = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
     total, size, least, most = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
-    settled, rises, swells = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+    sum_K_z2, variation_q, variation_K_z2 = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
     exponents, factors, ln_K_min, ln_K_max = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
     ln_K[n] = exponent = 0.0
     K = 1.0
-    beside, swell_beside, first = q[n - 1], 0.0, True
-    for stop in range(n, 0, -LANES):  # blocks of cells from right to left, and so are the cells in the lanes
+    q_neighbour, K_z2_neighbour, first = q[n - 1], 0.0, True
+    for stop in range(n, 0, -LANES):  # blocks of cells, and the cells within a block, run from right to left
         width = min(LANES, stop)
         if width == LANES:
             for l in range(LANES):
@@ -35,9 +35,9 @@ def survey(q, dx, law, ln_K):
                 row[l] = 1.0 + value[l]
             read(row, law, f, df)
         for l in range(LANES):
-            z, _ = eroded(l, value[l] * dx, dx, law, f, df)
+            z, _ = cell_law(l, value[l] * dx, dx, law, f, df)
             row[l] = z
-            factors[l] = growth(z)
+            factors[l] = exp_quadratic(z)
             total[l] += value[l]
             size[l] += abs(value[l])
             least[l] = min(least[l], value[l])
@@ -45,37 +45,37 @@ def survey(q, dx, law, ln_K):
         for l in range(LANES):
             exponent += row[l]
             exponents[l] = exponent
-            swell[l] = K
+            K_z2[l] = K
             K *= factors[l]
         for l in range(width):
             ln_K[stop - 1 - l] = exponents[l]
         for l in range(LANES):
-            swell[l] *= row[l] * row[l]
-            settled[l] += swell[l]
+            K_z2[l] *= row[l] * row[l]
+            sum_K_z2[l] += K_z2[l]
             ln_K_min[l] = min(ln_K_min[l], exponents[l])
             ln_K_max[l] = max(ln_K_max[l], exponents[l])
         if first:
-            first, swell_beside = False, swell[0]
-        rises[0] += abs(value[0] - beside)
-        swells[0] += abs(swell[0] - swell_beside)
+            first, K_z2_neighbour = False, K_z2[0]
+        variation_q[0] += abs(value[0] - q_neighbour)
+        variation_K_z2[0] += abs(K_z2[0] - K_z2_neighbour)
         for l in range(1, LANES):
-            rises[l] += abs(value[l] - value[l - 1])
-            swells[l] += abs(swell[l] - swell[l - 1])
-        if width < LANES:  # a step to the cells that are not there
-            rises[width] -= abs(value[width - 1])
-            swells[width] -= swell[width - 1]
-        beside, swell_beside = value[width - 1], swell[width - 1]
+            variation_q[l] += abs(value[l] - value[l - 1])
+            variation_K_z2[l] += abs(K_z2[l] - K_z2[l - 1])
+        if width < LANES:  # subtract the difference to the padding
+            variation_q[width] -= abs(value[width - 1])
+            variation_K_z2[width] -= K_z2[width - 1]
+        q_neighbour, K_z2_neighbour = value[width - 1], K_z2[width - 1]
     return (
-        dx * total.sum(), dx * size.sum(), least.min(), most.max(), rises.sum(), ln_K_min.min(), ln_K_max.max(),
-        settled.sum() / dx, swells.sum() / (dx * dx),
+        dx * total.sum(), dx * size.sum(), least.min(), most.max(), variation_q.sum(), ln_K_min.min(), ln_K_max.max(),
+        sum_K_z2.sum() / dx, variation_K_z2.sum() / (dx * dx),
     )  # fmt: skip
 
 
 @vectorised
 def frozen_step(q, K, dx, dt, law, flux):
-    """One step of a first-order scheme from cell means q, with K given at the nodes and nothing flowing in.
+    """Return the cell means after one first-order step from q, and F at the nodes, with K given and no inflow.
 
-    Returns the new means and F at the nodes. The flux must not have a viscosity of its own at each node.
+    K is given at the nodes. The flux must not have a local viscosity at each node.
     """
     n = q.size
     after, F = np.empty(n), np.zeros(n + 1)
@@ -104,7 +104,7 @@ def frozen_step(q, K, dx, dt, law, flux):
 
 @vectorised
 def fastest_nearby(q, K, law):
-    """The largest K f' with K of a node and f' of any of the two cells on either side of it."""
+    """Return the largest K f', with K of a node and f' of the two cells on either side of it."""
     n = q.size
     f, df = np.empty(n), np.empty(n)
     values(q, law, f, df)

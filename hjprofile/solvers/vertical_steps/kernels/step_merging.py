@@ -6,12 +6,12 @@ from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.journal import BLOW_UP, MERGE, note
 from hjprofile.solvers.vertical_steps.kernels.steps import at, moved, r_of, v_of, y_of
 
-LEVEL = 1e-14  # height of a step, relative to the jump of I, that is rounding
+LEVEL = 1e-14  # height of a vertical step, relative to the jump of I, that counts as rounding
 
 
 @compiled
 def excess_area(y, h, law):
-    """Return ∫(R - R(0)) dx over a distance h (of either sign) from where y is given, in a piece of constant I."""
+    """Return ∫(R - R(0)) dx over a distance h (of either sign) from a point with y, in a piece of constant I."""
     area = at(law.area, law, v_of(y, law)) - at(law.area, law, v_of(moved(y, h, law), law))
     if h < 0.0 and y < 1.0:  # beyond its vertical slope a piece is level
         area += min(h - math.log1p(-y) / law.rate, 0.0) * (law.r_most - law.r0)
@@ -20,7 +20,7 @@ def excess_area(y, h, law):
 
 @compiled
 def height(x, left, right, jump, law):
-    """Return the height of a step at x between two pieces, and how fast it grows with x.
+    """Return the height of a vertical step at x between two pieces, and its derivative by x.
 
     A piece is a position with y there. I right of the step exceeds I left of it by `jump`.
     """
@@ -31,9 +31,10 @@ def height(x, left, right, jump, law):
 
 @compiled
 def corner(left, right, jump, law):
-    """Return where W is continuous between two pieces, by Newton's method, between their positions if it lies there.
+    """Return the position at which W is continuous between two pieces, and True if W is continuous there.
 
-    It does for two fronts that jump the same way. The second value is whether W is continuous.
+    Newton's method finds it, between the positions of the pieces if it lies there. It does for two jumps of the same
+    sign.
     """
     xa, xb = left[0], right[0]
     x, most = 0.5 * (xa + xb), 20.0 * abs(xa - xb)
@@ -63,9 +64,9 @@ def corner(left, right, jump, law):
 
 @compiled
 def balance(left, middle, right, jump_left, jump_right, law):
-    """Return where a step between the pieces `left` and `right` keeps ∫W dx as it is with `middle` between them.
+    """Return the position of a step between `left` and `right` with the same ∫W dx as with `middle` between them.
 
-    The front on the left of `middle` lies where `left` and `middle` are given, that on its right where `right` is.
+    The front left of `middle` lies at the position of `left` and `middle`, the front right of it at that of `right`.
     """
     (xa, ya), (xb, yb), jump = left, right, jump_left + jump_right
     now = jump_left * (xb - xa) - excess_area(middle[1], xb - xa, law)
@@ -84,10 +85,11 @@ def balance(left, middle, right, jump_left, jump_right, law):
 
 @compiled
 def merge(fronts, n, t, law, sides, y_right, journal):
-    """Merge fronts that are out of order, also several at once; return how many are left.
+    """Merge fronts that are out of order, also several at once; return the number of remaining fronts.
 
-    Two kinks merge where W stays continuous, and where ∫W dx does not change if a step is among them or comes of them.
-    The piece on the right of all is untouched, and with it the mass. `y_right` holds y on the right of the fronts.
+    Two kinks merge where W stays continuous. If one of them is a vertical step, or becomes one, the position preserves
+    ∫W dx instead. The piece on the right of all fronts is unchanged, and with it the mass. `y_right` holds y on the
+    right of the fronts.
     """
     x, jump, is_step, y, label = fronts.x, fronts.jump, fronts.is_step, fronts.y, fronts.label
     blow_up, first_merge = fronts.blow_up, fronts.first_merge

@@ -1,21 +1,21 @@
-"""Time steps of fronts under linear growth, in the conventions of `steps` (theory, §14)."""
+"""Time stepping of fronts under linear growth, in the conventions of `steps` (theory, §14)."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from hjprofile.solvers.kernels import compiled
-from hjprofile.solvers.kernels.journal import CREST_LOWERING, GROWTH, STEPS
+from hjprofile.solvers.kernels.journal import CREST_LOWERING, STEPS, TOE_GAIN
 from hjprofile.solvers.vertical_steps.kernels.step_merging import merge
 from hjprofile.solvers.vertical_steps.kernels.step_transitions import transitions
 from hjprofile.solvers.vertical_steps.kernels.steps import at, flows, moved, r_of, sweep, v_of, y_of
 
-CROWDED = 0.25  # part of a time step that is taken where a slope is about to become vertical
-STEEP = 0.02  # change of R at x = 0 in a time step beyond which its integral is not left to the stages
-NEAR_VERTICAL = 4.0  # time steps within which a step can move by its distance from where its right piece is vertical
-CONTACT = 0.9  # part of the speed of a step beyond which slopes on its right, which move so fast, soon leave it
-LANDINGS = 20  # trials of a time step that ends as a step arrives at x = 0, ...
-LANDED = 1e-10  # ... to within this part of the spacing
+CROWDED_FACTOR = 0.25  # factor of the time step if a slope is about to become vertical
+LARGE_CREST_CHANGE = 0.02  # change of R at x = 0 in a time step above which it replaces the quadrature over the stages
+NEAR_VERTICAL = 4.0  # time steps in which a vertical step can reach the point where its right piece is vertical
+CONTACT = 0.9  # relative speed above which the slopes on the right of a vertical step soon leave it
+ARRIVAL_TRIALS = 20  # trials of a time step that ends when a vertical step arrives at x = 0
+ARRIVAL_TOLERANCE = 1e-10  # tolerance of the arrival, as a fraction of the spacing
 
 
 class StepControl(NamedTuple):
@@ -25,7 +25,7 @@ class StepControl(NamedTuple):
         spacing: mean length of the pieces of smooth data.
         reach: spacings that the fastest front may cross in a step.
         quantum: jump of an ordinary small front.
-        strong: jump above which a front that has merged is a kink, and height above which a step is one.
+        strong: jump above which a merged front is a kink, and height above which a front is a vertical step.
     """
 
     spacing: float
@@ -35,13 +35,13 @@ class StepControl(NamedTuple):
 
 
 class StepWorkspace(NamedTuple):
-    """Arrays of a time step.
+    """Work arrays of a time step.
 
     Attributes:
         x, y: at a stage.
         dx, dy: their changes in the step.
         y_right: y on the right of each front after the step.
-        shift: by how much the pieces have moved.
+        shift: the displacements of the pieces.
     """
 
     x: np.ndarray
@@ -53,12 +53,15 @@ class StepWorkspace(NamedTuple):
 
 
 @compiled
-def top_front_or_step(x, is_step, n):
-    """Return the front whose piece on the right holds x = 0; a step counts as below the crest until it has arrived."""
-    top = n - 1
-    while top > 0 and x[top] > 0.0 and not is_step[top]:
-        top -= 1
-    return top
+def crest_front_or_step(x, is_step, n):
+    """Return the front whose piece on the right contains x = 0.
+
+    A vertical step counts as below the crest until it has arrived.
+    """
+    crest = n - 1
+    while crest > 0 and x[crest] > 0.0 and not is_step[crest]:
+        crest -= 1
+    return crest
 
 
 @compiled
@@ -66,30 +69,31 @@ def runge_kutta(fronts, n, dt, law, sides, work):
     """Set dx and dy to the changes in a classical Runge-Kutta step; return the changes of two integrals.
 
     These are ∫(K_left - 1) dt and ∫F(0) dt. `sides` holds the sweep of x and y on entry, and that of the last stage on
-    return. `y_right` is set to y on the right of the fronts afterwards, as the pieces move with K/R: where a front has
-    passed another, the pieces between them may end at a vertical slope before that, and W does not tell it.
+    return. `y_right` is set to y on the right of the fronts after the step, from the motion of the pieces with K/R. If
+    a front has passed another, the pieces between them may end at a vertical slope before that, and W does not
+    determine y.
     """
     x, y, jump, is_step, k, d = fronts.x, fronts.y, fronts.jump, fronts.is_step, sides.speed, sides.drift
     v_right, r_right, K = sides.v_right, sides.r_right, sides.K
     xs, ys, dx, dy, y_right, shift = work.x, work.y, work.dx, work.dy, work.y_right, work.shift
-    growth = crest_lowering = steepest = 0.0
+    toe_gain = crest_lowering = steepest = 0.0
     for j in range(n):
         dx[j] = dy[j] = shift[j] = 0.0
         y_right[j] = y_of(v_right[j], law)
-    top = first_top = top_front_or_step(x, is_step, n)
-    r_top = r_of(v_of(moved(y_right[top], -x[top], law), law), law)
+    crest = first_crest = crest_front_or_step(x, is_step, n)
+    r_crest = r_of(v_of(moved(y_right[crest], -x[crest], law), law), law)
     for stage in range(4):
         if stage > 0:
             part = 1.0 if stage == 3 else 0.5
             for j in range(n):
                 xs[j], ys[j] = x[j] + part * dt * k[j], y[j] + part * dt * d[j]
-            top = top_front_or_step(xs, is_step, n)
-            sweep(xs, ys, fronts, n, top, law, sides)
+            crest = crest_front_or_step(xs, is_step, n)
+            sweep(xs, ys, fronts, n, crest, law, sides)
         weight = dt / 3.0 if stage in (1, 2) else dt / 6.0
-        at_left, at_top = flows(xs if stage else x, top, sides, law)
-        growth += weight * at_left
-        crest_lowering += weight * at_top
-        steepest = max(steepest, at_top)
+        at_left, at_crest = flows(xs if stage else x, crest, sides, law)
+        toe_gain += weight * at_left
+        crest_lowering += weight * at_crest
+        steepest = max(steepest, at_crest)
         for j in range(n):
             dx[j] += weight * k[j]
             dy[j] += weight * d[j]
@@ -97,26 +101,25 @@ def runge_kutta(fronts, n, dt, law, sides, work):
     for j in range(n):
         y_right[j] = moved(y_right[j], dx[j] - shift[j], law)
         xs[j] = x[j] + dx[j]
-    if dt * steepest > STEEP:  # F is without bound, but dR/dt = F at x = 0, and W is continuous at the fronts that left
-        top = top_front_or_step(xs, is_step, n)
-        crest_lowering = r_of(v_of(moved(y_right[top], -xs[top], law), law), law) - r_top
-        for j in range(top + 1, first_top + 1):
+    if dt * steepest > LARGE_CREST_CHANGE:  # F is unbounded, but dR/dt = F at x = 0, and W is continuous there
+        crest = crest_front_or_step(xs, is_step, n)
+        crest_lowering = r_of(v_of(moved(y_right[crest], -xs[crest], law), law), law) - r_crest
+        for j in range(crest + 1, first_crest + 1):
             crest_lowering += jump[j]
-    return growth, crest_lowering
+    return toe_gain, crest_lowering
 
 
 @compiled
 def advance(fronts, n, t, end, control, law, sides, work, journal):
-    """Classical Runge-Kutta steps to `end`, merging after each; otherwise as `moving_fronts.advance`.
+    """Advance fronts to `end` by classical Runge-Kutta steps with a merge after each, as `moving_fronts.advance` does.
 
-    K falls by e^{-η0 m} at the moment at which a vertical step of the height m leaves, so a time step ends there. The
-    lowering of the crest holds the steps that left. Return n and whether `end` is reached: not where a time step is
-    below 1e-9 of it.
+    K falls by e^{-η0 m} when a vertical step of height m leaves, so a time step ends there. The lowering of the crest
+    includes the steps that left. Return n, and True if `end` is reached: False if a time step is below 1e-9 of it.
     """
     x, y, is_step, k, dx, dy = fronts.x, fronts.y, fronts.is_step, sides.speed, work.dx, work.dy
     while t < end and n > 0:
-        top = top_front_or_step(x, is_step, n)
-        sweep(x, y, fronts, n, top, law, sides)
+        crest = crest_front_or_step(x, is_step, n)
+        sweep(x, y, fronts, n, crest, law, sides)
         dt, first = step_length(fronts, n, control, law, sides)
         if not dt > 1e-9 * end:
             return n, False
@@ -127,38 +130,39 @@ def advance(fronts, n, t, end, control, law, sides, work, journal):
         longest = dt
         if first >= 0:
             dt = min(dt, -x[first] / k[first])
-        growth, crest_lowering = runge_kutta(fronts, n, dt, law, sides, work)
-        for trial in range(LANDINGS):
+        toe_gain, crest_lowering = runge_kutta(fronts, n, dt, law, sides, work)
+        for trial in range(ARRIVAL_TRIALS):
             beyond = x[first] + dx[first] if first >= 0 else -1.0
             if dt == longest and beyond <= 0.0:
                 break
-            if abs(beyond) <= LANDED * control.spacing or trial == LANDINGS - 1:
+            if abs(beyond) <= ARRIVAL_TOLERANCE * control.spacing or trial == ARRIVAL_TRIALS - 1:
                 dx[first] = -x[first]
                 break
             dt = min(max(dt - beyond / k[first], 0.5 * dt), longest)
-            sweep(x, y, fronts, n, top, law, sides)
-            growth, crest_lowering = runge_kutta(fronts, n, dt, law, sides, work)
+            sweep(x, y, fronts, n, crest, law, sides)
+            toe_gain, crest_lowering = runge_kutta(fronts, n, dt, law, sides, work)
         for j in range(n):
             x[j] += dx[j]
             y[j] = max(y[j] + dy[j], 0.0)
-        journal.totals[GROWTH] += growth
+        journal.totals[TOE_GAIN] += toe_gain
         journal.totals[CREST_LOWERING] += crest_lowering
         journal.counts[STEPS] += 1
         t = end if dt == end - t else t + dt
-        sweep(x, y, fronts, n, top_front_or_step(x, is_step, n), law, sides)
+        sweep(x, y, fronts, n, crest_front_or_step(x, is_step, n), law, sides)
         before = n
         n = merge(fronts, n, t, law, sides, work.y_right, journal)
         if n < before:
-            sweep(x, y, fronts, n, top_front_or_step(x, is_step, n), law, sides)
+            sweep(x, y, fronts, n, crest_front_or_step(x, is_step, n), law, sides)
         n = transitions(fronts, n, t, control.quantum, control.strong, law, sides, journal)
     return n, True
 
 
 @compiled
 def step_length(fronts, n, control, law, sides):
-    """Return the length of the next time step, and the step that is nearest to x = 0, or -1.
+    """Return the length of the next time step, and the vertical step nearest to x = 0, or -1.
 
-    Where a smooth slope breaks fronts are crowded, and q on the right of a step changes fast where it is large.
+    The length is reduced where a smooth slope breaks, where fronts are crowded, and where q on the right of a vertical
+    step is large and changes fast.
     """
     jump, is_step, y, label, k = fronts.jump, fronts.is_step, fronts.y, fronts.label, sides.speed
     v_right, r_right, K, drift = sides.v_right, sides.r_right, sides.K, sides.drift
@@ -173,4 +177,4 @@ def step_length(fronts, n, control, law, sides):
         if is_step[j] and label[j] > 0:
             opening |= y[j] < NEAR_VERTICAL * abs(drift[j]) * dt
             opening |= K[j] * at(law.df, law, v_right[j]) > CONTACT * k[j]
-    return dt * (CROWDED if opening else 1.0), first
+    return dt * (CROWDED_FACTOR if opening else 1.0), first

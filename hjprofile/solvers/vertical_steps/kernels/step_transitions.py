@@ -11,11 +11,11 @@ from hjprofile.solvers.vertical_steps.kernels.steps import at, f_of, v_of_r, y_o
 
 @compiled
 def transitions(fronts, n, t, quantum, strong, law, sides, journal):
-    """Kinks that have become steps and the reverse, slopes that steps leave behind, births and exits.
+    """Convert kinks to vertical steps and back, release slopes that steps leave behind, and record births and exits.
 
-    Return how many fronts there are. A kink becomes a step where W on its right has no room under an infinite slope. A
-    front that has merged is a kink once its jump is above `strong`, born when it first merged. A step slower than the
-    steep slopes just above it lets them go: a front of strength `quantum` leaves it to the right.
+    Return the number of fronts. A kink becomes a vertical step if its jump of I exceeds the R of an infinite slope on
+    its right. A merged front is a kink when its jump exceeds `strong`, born at its first merge. A step slower than the
+    steep slopes just above it releases them: a front of strength `quantum` leaves it to the right.
     """
     x, jump, is_step, y, label = fronts.x, fronts.jump, fronts.is_step, fronts.y, fronts.label
     first_merge, blow_up = fronts.first_merge, fronts.blow_up
@@ -34,7 +34,7 @@ def transitions(fronts, n, t, quantum, strong, law, sides, journal):
         if is_step[j]:
             if blow_up[j] == np.inf:
                 blow_up[j] = t - time_since_vertical(r_left[j] + 0.5 * jump[j], K[j], law)
-            if n < x.size and lets_go(r_right[j] + quantum, speed[j], K[j], law):
+            if n < x.size and releases(r_right[j] + quantum, speed[j], K[j], law):
                 release(fronts, n, j, quantum, law, sides)
                 n += 1
                 j += 1
@@ -43,7 +43,7 @@ def transitions(fronts, n, t, quantum, strong, law, sides, journal):
     while n > 0 and x[n - 1] >= 0.0:
         n -= 1
         if is_step[n]:
-            journal.totals[CREST_LOWERING] += m[n]  # what is above a step falls over the edge with it
+            journal.totals[CREST_LOWERING] += m[n]  # the height of a step is part of the lowering when it leaves
         if label[n] > 0:
             note(journal, t - x[n] / speed[n], EXIT, label[n], 0, 0.0)
     return n
@@ -51,14 +51,14 @@ def transitions(fronts, n, t, quantum, strong, law, sides, journal):
 
 @compiled
 def time_since_vertical(r, K, law):
-    """How long ago q became infinite where R is now r, by dR/dt = K (f - q f')."""
+    """Return the time since q was infinite where R is now r, by dR/dt = K (f - q f')."""
     v = v_of_r(r, law)
     return (r - law.r_most) / (K * (f_of(v, law) - math.expm1(v) * at(law.df, law, v)))
 
 
 @compiled
-def lets_go(r, speed, K, law):
-    """Return whether a step is slower than the slope with R = r that would then lie on its right."""
+def releases(r, speed, K, law):
+    """Return True if a vertical step is slower than the slope with R = r that would then lie on its right."""
     return r < law.r_most and speed < K * at(law.df, law, v_of_r(r, law))
 
 
@@ -80,7 +80,7 @@ def release(fronts, n, j, quantum, law, sides):
 
 @compiled
 def copy_front(fronts, j, k):
-    """Copy front j to the place of front k."""
+    """Copy front j to the index k."""
     fronts.x[k], fronts.jump[k], fronts.y[k] = fronts.x[j], fronts.jump[j], fronts.y[j]
     fronts.is_step[k], fronts.label[k] = fronts.is_step[j], fronts.label[j]
     fronts.blow_up[k], fronts.first_merge[k] = fronts.blow_up[j], fronts.first_merge[j]
@@ -88,7 +88,7 @@ def copy_front(fronts, j, k):
 
 @compiled
 def number_steps(fronts, n, t, strong, sides, journal):
-    """Number steps that open in a smooth slope: of neighbours that do so together, one that outweighs the rest."""
+    """Label vertical steps that open in a smooth slope: of adjacent ones, the one higher than all others together."""
     x, is_step, label, blow_up, m = fronts.x, fronts.is_step, fronts.label, fronts.blow_up, sides.height
     j = 0
     while j < n:

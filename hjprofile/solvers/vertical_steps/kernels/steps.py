@@ -1,9 +1,9 @@
-"""Front tracking for laws of linear growth, where slopes become infinite and the profile jumps (theory, §14).
+"""Front tracking for laws of linear growth, with infinite slopes and vertical steps (theory, §14).
 
 As in `fronts.kernels.front_state` I = W + R(q) is constant between fronts. A front is a kink, at which W is continuous,
-or a vertical step, at which W jumps by m. W on the left of a step does not determine the piece on its right, so each
-step carries the place of that piece: y = 1 - exp(-rate d), d being the distance to the right of the point where the
-piece, continued to the left, is vertical. y is 0 where q is infinite, 1 where q = 0 and above 1 where q < 0.
+or a vertical step, at which W jumps by m. W on the left of a vertical step does not determine the piece on its right,
+so each step stores the position of that piece: y = 1 - exp(-rate d), with d the distance to the right of the point
+where the piece, continued to the left, is vertical. y is 0 where q is infinite, 1 where q = 0 and above 1 where q < 0.
 """
 
 import math
@@ -14,7 +14,7 @@ import numpy as np
 from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.law import polynomial
 
-ALIKE = 1e-5  # difference of ln(1 + q) below which [f]/[q] is f' in the middle
+EQUAL_LN_SLOPES = 1e-5  # difference of ln(1 + q) below which [f]/[q] is f' in the middle
 
 
 class StepLaw(NamedTuple):
@@ -23,10 +23,10 @@ class StepLaw(NamedTuple):
     Attributes:
         r, age, df, area: R(q); -ln y; f'(q); ∫ (R - R(0)) dx to the right of q in a piece of constant I.
         r_at, age_at: of shape (pieces + 1,), both increasing.
-        start, density: where the pieces begin, and how many there are per unit of v.
+        start, density: the left end of the pieces, and their number per unit of v.
         end: the v that stands for an infinite slope.
-        r0, r_most: R(0), and R where the slope is infinite.
-        eta0, rate: f' there, and 1/R'(0).
+        r0, r_most: R(0), and R of an infinite slope.
+        eta0, rate: f' of an infinite slope, and 1/R'(0).
     """
 
     r: np.ndarray
@@ -45,14 +45,14 @@ class StepLaw(NamedTuple):
 
 
 class StepFronts(NamedTuple):
-    """Kinks and steps from left to right, the first n of each array.
+    """Kinks and vertical steps from left to right, the first n of each array.
 
     Attributes:
         x, jump: positions and jumps of I.
-        is_step, y: whether a front is a step, and y on the right of it.
+        is_step, y: True for a vertical step, and y on the right of it.
         label: the number of the kink or step that a front is, or 0.
-        blow_up: when q becomes infinite midway through a step, infinite for other fronts.
-        first_merge: when another front first merged into it; infinite before.
+        blow_up: the time at which q becomes infinite midway through a step, infinite for other fronts.
+        first_merge: the time of its first merge; infinite before.
     """
 
     x: np.ndarray
@@ -65,7 +65,7 @@ class StepFronts(NamedTuple):
 
 
 class StepSides(NamedTuple):
-    """What a sweep finds at each front.
+    """Results of a sweep at each front.
 
     Attributes:
         v_left, v_right, r_left, r_right: ln(1 + q) and R(q).
@@ -86,13 +86,13 @@ class StepSides(NamedTuple):
 
 @compiled
 def at(table, law, v):
-    """The value at v of one of the law's tables."""
+    """Return the value at v of one of the law's tables."""
     return polynomial(table, law.start, law.density, v)
 
 
 @compiled
 def inverse(table, joints, law, value):
-    """The v at which an increasing table has that value; within the range of the table."""
+    """Return the v at which an increasing table has the given value, within the range of the table."""
     last = joints.size - 1
     if value >= joints[last]:
         return law.end
@@ -115,53 +115,53 @@ def inverse(table, joints, law, value):
 
 @compiled
 def moved(y, h, law):
-    """y at a distance h (of either sign) to the right, in a piece of constant I; not below 0."""
+    """Return y at a distance h (of either sign) to the right, in a piece of constant I; not below 0."""
     return max(-math.expm1(-law.rate * h) + math.exp(-law.rate * h) * y, 0.0)
 
 
 @compiled
 def y_of(v, law):
-    """y where ln(1 + q) = v."""
+    """Return y where ln(1 + q) = v."""
     return math.exp(-at(law.age, law, v)) if v < law.end else 0.0
 
 
 @compiled
 def v_of(y, law):
-    """ln(1 + q) where y is given."""
+    """Return ln(1 + q) where y is given."""
     return inverse(law.age, law.age_at, law, -math.log(y)) if y > 0.0 else law.end
 
 
 @compiled
 def r_of(v, law):
-    """R where ln(1 + q) = v."""
+    """Return R where ln(1 + q) = v."""
     return at(law.r, law, v) if v < law.end else law.r_most
 
 
 @compiled
 def v_of_r(r, law):
-    """ln(1 + q) where R(q) = r."""
+    """Return ln(1 + q) where R(q) = r."""
     return inverse(law.r, law.r_at, law, r)
 
 
 @compiled
 def f_of(v, law):
-    """f where ln(1 + q) = v."""
+    """Return f where ln(1 + q) = v."""
     return math.expm1(v) / r_of(v, law)
 
 
 @compiled
 def step_speed(m, law):
-    """(e^{η0 m} - 1)/m."""
+    """Return (e^{η0 m} - 1)/m."""
     z = law.eta0 * m
     return law.eta0 * (math.expm1(z) / z if abs(z) > 1e-12 else 1.0 + 0.5 * z)
 
 
 @compiled
-def sweep(x, y, fronts, n, top, law, sides):
-    """Fill the sides of the first n fronts, at x and with y on their right; x = 0 lies right of front `top`.
+def sweep(x, y, fronts, n, crest, law, sides):
+    """Fill the sides of the first n fronts, at x and with y on their right; x = 0 lies right of front `crest`.
 
-    A sweep right for v, one left for K with K(0) = 1. A kink whose W does not fit under an infinite slope has the rest
-    as a height already.
+    A sweep to the right computes v, and one to the left K with K(0) = 1. If the jump of I at a kink exceeds the R of an
+    infinite slope, the excess is already the height of a vertical step.
     """
     jump, is_step, m, K = fronts.jump, fronts.is_step, sides.height, sides.K
     speed, drift = sides.speed, sides.drift
@@ -186,17 +186,17 @@ def sweep(x, y, fronts, n, top, law, sides):
             r = r_of(v, law)
     if n == 0:
         return
-    K[top] = r_right[top] / r_of(v_of(moved(y_of(v_right[top], law), -x[top], law), law), law)
-    for j in range(top - 1, -1, -1):
+    K[crest] = r_right[crest] / r_of(v_of(moved(y_of(v_right[crest], law), -x[crest], law), law), law)
+    for j in range(crest - 1, -1, -1):
         K[j] = K[j + 1] * r_right[j] / r_left[j + 1]
         if m[j + 1] != 0.0:
             K[j] *= math.exp(law.eta0 * m[j + 1])
-    for j in range(top + 1, n):
+    for j in range(crest + 1, n):
         K[j] = K[j - 1] * math.exp(-law.eta0 * m[j]) * r_left[j] / r_right[j - 1]
     for j in range(n):
         if is_step[j] or m[j] > 0.0:
             speed[j] = K[j] * step_speed(m[j], law)
-        elif abs(v_right[j] - v_left[j]) < ALIKE:
+        elif abs(v_right[j] - v_left[j]) < EQUAL_LN_SLOPES:
             speed[j] = K[j] * at(law.df, law, 0.5 * (v_left[j] + v_right[j]))
         else:
             a, b = math.expm1(v_left[j]), math.expm1(v_right[j])
@@ -206,15 +206,15 @@ def sweep(x, y, fronts, n, top, law, sides):
 
 
 @compiled
-def flows(x, top, sides, law):
-    """K - 1 left of all fronts, and F at x = 0."""
-    v = v_of(moved(y_of(sides.v_right[top], law), -x[top], law), law)
+def flows(x, crest, sides, law):
+    """Return K - 1 left of all fronts, and F at x = 0."""
+    v = v_of(moved(y_of(sides.v_right[crest], law), -x[crest], law), law)
     return sides.K[0] * math.exp(law.eta0 * sides.height[0]) - 1.0, f_of(v, law)
 
 
 @compiled
 def read(fronts, n, law, sides, nodes, W_out, K_out):
-    """W and K at `nodes` (increasing), K at a step being that on its right. Sweeps first."""
+    """Fill W and K at `nodes` (increasing), after a sweep; K at a vertical step is the value on its right."""
     x, jump, v_right, K = fronts.x, fronts.jump, sides.v_right, sides.K
     sweep(x, fronts.y, fronts, n, n - 1, law, sides)
     j, I = -1, law.r0
@@ -231,7 +231,7 @@ def read(fronts, n, law, sides, nodes, W_out, K_out):
 
 @compiled
 def volume(fronts, n, sides, law):
-    """∫W dx, for sides as swept."""
+    """Return ∫W dx, for sides as swept."""
     x, jump, v_left, v_right = fronts.x, fronts.jump, sides.v_left, sides.v_right
     total, I = 0.0, law.r0
     for j in range(n):
@@ -244,7 +244,7 @@ def volume(fronts, n, sides, law):
 
 @compiled
 def start_pieces(mass, h, law, v):
-    """Fills v at the left ends of pieces of constant I with the given lengths and masses: r - r(h) = mass."""
+    """Fill v at the left ends of pieces of constant I with the given lengths and masses: r - r(h) = mass."""
     for i in range(h.size):
         low, high = law.start, law.end
         for _ in range(100):
