@@ -16,7 +16,8 @@ HOME = Path(hjprofile.__file__).parent
 WINGS = ("grids", "fronts", "characteristics", "layer", "vertical_steps")
 # from the bottom up
 ROOMS = (
-    "errors", "error_page", "interrupts", "files", "problem", "solvers.kernels", "solvers.stop", "solvers.run", "solvers",
+    "errors", "error_page", "interrupts", "files", "problem", "solvers.kernels", "solvers.stop", "solvers.run",
+    "solvers",
     "studies", "output", "cli",
 )  # fmt: skip
 KERNELS = ("solvers.kernels", *(f"solvers.{wing}.kernels" for wing in WINGS))

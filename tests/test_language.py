@@ -8,33 +8,34 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 MODULES = sorted((ROOT / "hjprofile").rglob("*.py"))
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-PATTERNS = {  # of language.md's kind: clauses in the place of a noun, personified software, words that are not used
-    "clause for a noun": r"(?:^|[.:;|(] *|\b(?:of|by|with|for|from|to|is|and|than|in|on) )(?:[Ww]hat|[Ww]hatever|[Ww]hoever) (?!if\b)",
+PATTERNS = {  # clauses in the place of a noun, personified software, words that are not used
+    "clause for a noun": r"(?:^|[.:;|(] *|\b(?:of|by|with|for|from|to|is|and|than|in|on) )"
+    r"(?:[Ww]hat|[Ww]hatever|[Ww]hoever) (?!if\b)",
     "told": r"\b(?:tells?|told|telling)\b",
     "anew": r"\banew\b",
     "beside": r"\bbeside\b",
 }
 MOST = 80
-IMPERATIVES = set(
+IMPERATIVES = frozenset(
     """
-    accept add adjust advance align allow announce append apply approximate arrange ask assemble assert assign attach
-    avoid begin bisect bound bring build cache call carry change check choose classify clear close collect combine
-    compare compile complete compose compress compute continue convert copy correct count cover create cross cut date
-    decide declare decorate define delete describe determine differentiate discard discretise display divide draw drop
-    emulate encode end enter estimate evaluate examine exclude execute exit expand export extend extrapolate fail feed
-    fill find finish fit fix follow forbid format forward freeze gather generate get give go group guard handle hash
-    hold identify ignore import improve include index initialise insert integrate interpolate interrupt invert iterate
-    join judge keep label leave limit line link list load locate look lower make map march mark match measure merge
-    monitor move multiply name narrow normalise note number observe open order pack pad parse pass patch pause pick
-    place plot prepare prescribe print probe process produce project propagate prove provide put raise reach react read
-    rebuild recall recognise recompute reconstruct record recover redirect reduce refine refresh refuse register reject
-    release remember remove rename render repair repeat replace report represent require resample reset resolve
-    restore restrict resume return reverse rise roll round run sample save scale scan search seek select send separate
-    set settle shift show simulate skip smooth solve sort split start state stop store stream subtract sum supply
-    sweep take terminate test thin trace track transform translate treat trim truncate try turn undo update use
-    validate vary verify visit wait walk warn weigh widen wrap write yield
-    allocate bracket clip disturb notify offer reassign shorten
-    """.split()
+    accept add adjust advance align allocate allow announce append apply approximate arrange ask assemble assert
+    assign attach avoid begin bisect bound bracket bring build cache call carry change check choose classify clear
+    clip close collect combine compare compile complete compose compress compute continue convert copy correct
+    count cover create cross cut date decide declare decorate define delete describe determine differentiate
+    discard discretise display disturb divide draw drop emulate encode end enter estimate evaluate examine exclude
+    execute exit expand export extend extrapolate fail feed fill find finish fit fix follow forbid format forward
+    freeze gather generate get give go group guard handle hash hold identify ignore import improve include index
+    initialise insert integrate interpolate interrupt invert iterate join judge keep label leave limit line link
+    list load locate look lower make map march mark match measure merge monitor move multiply name narrow
+    normalise note notify number observe offer open order pack pad parse pass patch pause pick place plot prepare
+    prescribe print probe process produce project propagate prove provide put raise reach react read reassign
+    rebuild recall recognise recompute reconstruct record recover redirect reduce refine refresh refuse register
+    reject release remember remove rename render repair repeat replace report represent require resample reset
+    resolve restore restrict resume return reverse rise roll round run sample save scale scan search seek select
+    send separate set settle shift shorten show simulate skip smooth solve sort split start state stop store
+    stream subtract sum supply sweep take terminate test thin trace track transform translate treat trim truncate
+    try turn undo update use validate vary verify visit wait walk warn weigh widen wrap write yield
+    """.split()  # noqa: SIM905
 )
 
 

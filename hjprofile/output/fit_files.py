@@ -20,7 +20,7 @@ def fit_report(found: Calibration) -> dict[str, Any]:
     return {
         "title": found.title,
         "parameters": {p.name: _row(p) for p in found.parameters},
-        "poured_volume": _row(found.volume) if found.volume else None,
+        "supplied_volume": _row(found.volume) if found.volume else None,
         "correlation": found.correlation.tolist(),
         "points": found.x.size,
         "left_out": found.left_out,

@@ -33,10 +33,10 @@ class Problem:
         end: the supplied mass at the end, dimensionless, 0 or more; it serves as time.
         snapshots: the number of saved times (evenly spaced, both ends), or the increasing saved times in [0, end].
         title: a title for pictures and files, at most 500 characters.
-        coefficient: k(t, x) that replaces the grain flux K (theory, §9); None for K itself.
-        supply_flux: the flux ε that is supplied at the crest of a rolling layer (theory, §8); 0 is the limit of slow
+        coefficient: k(t, x) that replaces the grain flux K (§7); None for K itself.
+        supply_flux: the flux ε that is supplied at the crest of a rolling layer (§2); 0 is the limit of slow
             erosion.
-        line: "half", the slope x <= 0 below its crest, or "whole", of which the grid is a window (theory, §13).
+        line: "half", the slope x <= 0 below its crest, or "whole", of which the grid is a window (§10).
 
     The combination of profile, law, grid and method is checked when a run begins, before anything is computed.
 

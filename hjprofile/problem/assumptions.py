@@ -1,4 +1,4 @@
-"""The assumptions on erosion laws, checked at 4001 slopes: [eq:f], or linear growth instead of the last of them."""
+"""The assumptions on erosion laws, checked at 4001 slopes: (1.4), or linear growth instead of the last of them."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class _Sample(NamedTuple):
 def check_assumptions(f: Function, derivative: Function, linear: bool) -> float:
     """Return the limit of f' as q -> infinity if growth is linear, else 0.
 
-    Raise InputError with the violated assumption, of [eq:f] or of linear growth, and a q. The order of the checks
+    Raise InputError with the violated assumption, of (1.4) or of linear growth, and a q. The order of the checks
     decides
     which assumption is named, because a convex law violates several.
     """

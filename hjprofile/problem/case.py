@@ -69,7 +69,7 @@ class Case:
         method: the name of the method.
         cfl: the CFL number.
         tolerance: the largest allowed error of u at the saved times, dimensionless; None if none is requested.
-        refresh: the refresh interval of a frozen coefficient, a supplied mass (theory, §10); None for every time step.
+        refresh: the refresh interval of a frozen coefficient, a supplied mass (§8); None for every time step.
         vtk, plots: True if VTK files and pictures are written in addition to `profile.nc` and the tables.
         checkpoint: seconds between two checkpoints of a run on a grid.
         expect: the values that the test of the case asserts.

@@ -1,4 +1,4 @@
-"""Coefficients k(t, x) > 0 that are prescribed in place of the grain flux K: q_t + (k f(q))_x = 0 [eq:fixed_k]."""
+"""Coefficients k(t, x) > 0 that are prescribed in place of the grain flux K: q_t + (k f(q))_x = 0 (2.1)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PROBE = np.array([[0.0], [0.25]]), np.array([-0.5, -0.25, 0.0])  # (t, x) at whi
 
 @dataclass(frozen=True)
 class Coefficient:
-    """A coefficient k(t, x) of the flux k f(q) (theory, §9).
+    """A coefficient k(t, x) of the flux k f(q) (§7).
 
     Attributes:
         function: (t, x) -> k, for arrays that broadcast; t is the supplied mass, x is in exchange lengths.

@@ -1,7 +1,7 @@
 """Erosion laws f(q): the erosion rate per unit grain flux at the excess slope q = u_x - 1.
 
-Assumptions [eq:f]: f in C², f(0) = 0, f' > 0, f'' < 0, f -> -∞ as q -> -1, f(q)/q -> 0 as q -> ∞. Under linear growth
-the last one is replaced by f' -> η0 > 0: slopes then become infinite, and the profile jumps (theory, §14).
+Assumptions (1.4): f in C², f(0) = 0, f' > 0, f'' < 0, f -> -∞ as q -> -1, f(q)/q -> 0 as q -> ∞. Under linear growth
+the last one is replaced by f' -> η0 > 0: slopes then become infinite, and the profile jumps (§11).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ TINY = -37.0  # ln|q| below which a decay is exponential to rounding
 NODES, HALVINGS = 16, 6  # nodes of a panel of a decay, and the largest number of halvings to reach DIGITS
 NEWTON, LAST_MOVE = 30, 1e-14  # largest number of Newton steps per panel; size of the last step, in half panels
 PROBE = np.array([0.5, -0.3, 2.0])  # slopes at which a function is tried with arrays
-LINEAR = "linear"  # the growth of a law outside [eq:f]
+LINEAR = "linear"  # the growth of a law outside (1.4)
 FARTHEST = 1e5  # slope beyond which f - q f' of a law of linear growth is taken as constant
 _STENCIL = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])  # eighth-order central difference
 
@@ -58,7 +58,7 @@ class ErosionLaw:
         derivative: f', positive and decreasing.
         table: the `[erosion]` table of a case file that makes this law again.
         closed_inverse: f⁻¹ if it is known in closed form, else None.
-        eta0: η0 = lim f' as q -> ∞: 0 for the laws of [eq:f], positive for those of linear growth.
+        eta0: η0 = lim f' as q -> ∞: 0 for the laws of (1.4), positive for those of linear growth.
             content: a hash of the file that holds f; "" if `table` holds everything; None for a function that is in no
             file.
 
@@ -77,7 +77,7 @@ class ErosionLaw:
 
     @property
     def grows_linearly(self) -> bool:
-        """True if slopes can become infinite and the profile can jump (theory, §14)."""
+        """True if slopes can become infinite and the profile can jump (§11)."""
         return self.eta0 > 0.0
 
     @property
@@ -118,7 +118,7 @@ class ErosionLaw:
         return self._f_over_q.deriv()
 
     def R(self, q) -> Array:
-        """Return R = q/f(q), increasing; R(0) = 1/f'(0). W + R(q) is constant along characteristics (theory, §4)."""
+        """Return R = q/f(q), increasing; R(0) = 1/f'(0). W + R(q) is constant along characteristics (§4)."""
         q = np.asarray(q, dtype=float)
         near = np.abs(q) <= NEAR_ZERO
         away = np.where(near, 1.0, q)
@@ -141,7 +141,7 @@ class ErosionLaw:
     def decay(self, q0: float, distance) -> Array:
         """Return q at `distance` >= 0 to the right of a point with q = q0, where W + R(q) is constant in x.
 
-        Solve R'(q) q_x = -q (theory, §4); for the rational law q = q0 exp(-distance). `distance` is in exchange lengths
+        Solve R'(q) q_x = -q (§4); for the rational law q = q0 exp(-distance). `distance` is in exchange lengths
         and may
         have any shape.
         """
@@ -202,7 +202,7 @@ _law = partial(choice, chooser="law")
 
 @_law("rational")
 def rational() -> ErosionLaw:
-    """Return the law f = q/(1+q) of the slow-erosion limit [fex].
+    """Return the law f = q/(1+q) of the slow-erosion limit (1.5).
 
     >>> import hjprofile as hj
     >>> float(hj.rational().f(1.0))
@@ -264,7 +264,7 @@ def expression(expression: str, growth: str | None = None) -> ErosionLaw:
 
     Args:
         expression: text with numbers, q, + - * / **, exp, log, log1p, expm1, sqrt, at most 1000 characters.
-        growth: "linear" for a law whose slope f' tends to a positive limit (theory, §14), else None.
+        growth: "linear" for a law whose slope f' tends to a positive limit (§11), else None.
 
     Returns:
         The law.
@@ -296,13 +296,13 @@ def erosion_law(
             (slower).
         derivative: f'; None for a difference quotient of eighth order.
         inverse: f⁻¹; None for a root finder.
-        growth: "linear" for a law whose slope f' tends to η0 > 0 as q -> ∞ (theory, §14), else None.
+        growth: "linear" for a law whose slope f' tends to η0 > 0 as q -> ∞ (§11), else None.
 
     Returns:
         The law.
 
     Raises:
-        InputError: if an assumption of [eq:f] is violated; for growth = "linear" the last one is f' -> η0 > 0.
+        InputError: if an assumption of (1.4) is violated; for growth = "linear" the last one is f' -> η0 > 0.
 
     >>> import numpy as np
     >>> import hjprofile as hj

@@ -1,4 +1,4 @@
-"""Profiles shifted and stretched along the line, and their right-hand decay at the end of a window (theory, §13)."""
+"""Profiles shifted and stretched along the line, and their right-hand decay at the end of a window (§10)."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def stretched(profile: Profile, factor: float) -> Profile:
 
 
 def tail(profile: Profile, right: float, law: ErosionLaw) -> float:
-    """Return q at the right end of a window, from which on I = W + R(q) is constant (theory, §4) and q decays.
+    """Return q at the right end of a window, from which on I = W + R(q) is constant (§4) and q decays.
 
     Raise InputError if I is not constant there: K at the right end would depend on the profile beyond it.
     """

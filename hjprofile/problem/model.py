@@ -14,26 +14,26 @@ class SlowErosion:
 
 @dataclass(frozen=True)
 class Prescribed:
-    """Slow erosion with a coefficient k(t, x) in the place of K (theory, §9)."""
+    """Slow erosion with a coefficient k(t, x) in the place of K (§7)."""
 
     coefficient: Coefficient
 
 
 @dataclass(frozen=True)
 class RollingLayer:
-    """The 2x2 model with a rolling layer, of this flux at the crest (theory, §8)."""
+    """The 2x2 model with a rolling layer, of this flux at the crest (§2)."""
 
     supply_flux: float
 
 
 @dataclass(frozen=True)
 class WholeLine:
-    """Slow erosion on the whole line, of which the grid is a window (theory, §13)."""
+    """Slow erosion on the whole line, of which the grid is a window (§10)."""
 
 
 @dataclass(frozen=True)
 class LinearGrowth:
-    """Slow erosion under a law of linear growth, where kinks become vertical steps (theory, §14)."""
+    """Slow erosion under a law of linear growth, where kinks become vertical steps (§11)."""
 
 
 Model = SlowErosion | Prescribed | RollingLayer | WholeLine | LinearGrowth

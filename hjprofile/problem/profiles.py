@@ -27,7 +27,7 @@ GAUSS = np.polynomial.legendre.leggauss(16)
 @kind("kinks", positions=LIST, amplitudes=LIST)
 @dataclass(frozen=True, eq=False)
 class Kinks(Profile):
-    """A profile of kinks: q jumps up to amplitudes[j] at positions[j] and decays by R'(q) q_x = -q (theory, §5); 0 on
+    """A profile of kinks: q jumps up to amplitudes[j] at positions[j] and decays by R'(q) q_x = -q (§13); 0 on
     the left.
     """
 
@@ -205,7 +205,7 @@ class Points(Profile):
 @kind("steady", flux=NUMBER, kink=NUMBER)
 @dataclass(frozen=True, eq=False)
 class Steady(Profile):
-    """The steady slope q = f⁻¹(a/(1 - a x)), whose flux is a everywhere, right of a kink at s0 (theory, §6e-f).
+    """The steady slope q = f⁻¹(a/(1 - a x)), whose flux is a everywhere, right of a kink at s0 (§5e-f).
 
     Without a kink it fills the whole grid, and the flux a enters at the left end.
     """
@@ -299,7 +299,7 @@ class Given(Profile):
 
 def kinks(positions: Sequence[float], amplitudes: Sequence[float]) -> Profile:
     """Return a profile of kinks: q jumps up to `amplitudes` at `positions` and decays between them by the law (theory,
-    §5).
+    §13).
 
     Args:
         positions: x of the kinks, shape (n,), in exchange lengths, increasing, at most 0 on the half line.
@@ -394,7 +394,7 @@ def steps(edges: Sequence[float], values: Sequence[float]) -> Profile:
 
 
 def steady(flux: float, kink: float | None = None) -> Profile:
-    """Return the steady slope of a given erosion flux, right of a kink if one is given (theory, §6e-f).
+    """Return the steady slope of a given erosion flux, right of a kink if one is given (§5e-f).
 
     Args:
             flux: F = K f(q), dimensionless, positive and below the supremum of f (1 for `rational`), which is checked

@@ -1,4 +1,4 @@
-"""Closed forms: steady slopes, and one kink that moves into a neutral or a steady slope (theory, §6).
+"""Closed forms: steady slopes, and one kink that moves into a neutral or a steady slope (§5).
 
 In each of them the solution at any time is a profile of `problem.profiles` with its kink at s(t).
 """
@@ -68,7 +68,7 @@ class ClosedForm:
         return self.factor(s, np.maximum(x, s))
 
     def eroded(self, t: float, x: float) -> float:
-        """Return ∫_x^0 (u(0,y) - u(t,y)) dy = ∫_0^t (K(τ,x) - 1) dτ (theory, §6g), by quadrature of the latter."""
+        """Return ∫_x^0 (u(0,y) - u(t,y)) dy = ∫_0^t (K(τ,x) - 1) dτ (§5g), by quadrature of the latter."""
         from scipy.integrate import quad
         from scipy.optimize import brentq
 
@@ -172,12 +172,12 @@ def _one_kink(amplitude: float) -> Callable[[float], Profile]:
 
 
 def steady_slope(law: ErosionLaw, flux: float) -> ClosedForm:
-    """Return §6e: q = f⁻¹(a/(1 - a x)) at all times, sinking at the rate a; the flux a enters at the left end."""
+    """Return §5e: q = f⁻¹(a/(1 - a x)) at all times, sinking at the rate a; the flux a enters at the left end."""
     return ClosedForm(law, lambda t: -np.inf, lambda s: Steady(flux), lambda s, x: 1.0 - flux * x, np.inf, flux)
 
 
 def travelling_kink(law: ErosionLaw, amplitude: float, start: float) -> ClosedForm:
-    """Return §6a-b: q = Q(x - s(t)) right of s, Q(0) = amplitude, R'(Q) Q' = -Q; s' = 1/R(Q(-s))."""
+    """Return §5a-b: q = Q(x - s(t)) right of s, Q(0) = amplitude, R'(Q) Q' = -Q; s' = 1/R(Q(-s))."""
     at = _one_kink(amplitude)
 
     def factor(s: float, x: Array) -> Array:
@@ -203,7 +203,7 @@ def travelling_kink(law: ErosionLaw, amplitude: float, start: float) -> ClosedFo
 
 
 def travelling_wave(law: ErosionLaw, amplitude: float, start: float) -> ClosedForm:
-    """Return §13: the kink of §6b on the whole line moves with the constant speed f'(0) for any amplitude; K(∞) = 1."""
+    """Return §10: the kink of §5b on the whole line moves with the constant speed f'(0) for any amplitude; K(∞) = 1."""
     at = _one_kink(amplitude)
 
     def factor(s: float, x: Array) -> Array:
@@ -213,7 +213,7 @@ def travelling_wave(law: ErosionLaw, amplitude: float, start: float) -> ClosedFo
 
 
 def kink_into_steady_slope(law: ErosionLaw, flux: float, start: float) -> ClosedForm:
-    """Return §6f: q = 0 left of s(t), the steady slope of that flux right of it; s' = flux/q(s⁺)."""
+    """Return §5f: q = 0 left of s(t), the steady slope of that flux right of it; s' = flux/q(s⁺)."""
     at = partial(Steady, flux)
 
     def factor(s: float, x: Array) -> Array:

@@ -1,9 +1,9 @@
-"""Front tracking on the invariant I = W + R(q), which is constant along characteristics (theory, §4 and §5).
+"""Front tracking on the invariant I = W + R(q), which is constant along characteristics (§4 and §13).
 
 I is piecewise constant between fronts that move at x' = K [f]/[q]. For data that are kinks only this is the exact
 solution, integrated to 1e-12. Smooth data and the fans of downward jumps become many small fronts, with second order in
 their number through the formation and the merging of shocks. Under laws of linear growth kinks can become vertical
-steps (theory, §14).
+steps (§11).
 """
 
 from __future__ import annotations

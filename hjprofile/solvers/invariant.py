@@ -1,4 +1,4 @@
-"""Tables of an erosion law in the variables of the invariant, built once per law and run (theory, §5)."""
+"""Tables of an erosion law in the variables of the invariant, built once per law and run (§13)."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ def _second_order() -> Method:
 def _first_order() -> Iterator[Method]:
     """Yield the methods of first order, two for each flux."""
     for flux in FLUXES.values():
-        steep = flux is FLUXES["telescoping"]  # correct speed of a vertical step for any K (theory, §14)
+        steep = flux is FLUXES["telescoping"]  # correct speed of a vertical step for any K (§16)
         guarantees = _GUARANTEES.get(flux.name, MONOTONE)
         supports = ON_GRIDS | {Feature.LINEAR_GROWTH} if steep else ON_GRIDS
         about = {"flux": flux, "midpoint": True, "cfl_proved": 2 / 3 if flux.viscous else 1.0}
@@ -126,7 +126,7 @@ def _first_order() -> Iterator[Method]:
             method = Method(name, form, supports, Setup(scheme, guarantees), carries=carries, **about)  # type: ignore[arg-type]
             if steep:
                 method = replace(method, variants={Feature.LINEAR_GROWTH: Setup(scheme, STEEP, StepsOnGrid)})
-            if steep and form is Form.SLOPE:  # this flux conserves grains exactly (theory, §8)
+            if steep and form is Form.SLOPE:  # this flux conserves grains exactly (§15)
                 layer = {Feature.LAYER: Setup(_below_a_layer, WITH_LAYER)}
                 method = replace(method, supports=supports | {Feature.LAYER}, variants={**method.variants, **layer})
             yield method

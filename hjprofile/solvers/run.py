@@ -118,7 +118,7 @@ class KinkRecord(NamedTuple):
 
 
 class VerticalStep(NamedTuple):
-    """A jump of u by `height` at one saved time, under a law of linear growth (theory, §14)."""
+    """A jump of u by `height` at one saved time, under a law of linear growth (§11)."""
 
     time: float
     step: int

@@ -30,14 +30,14 @@ def solve_hj(
     progress: Progress | None = None,
     refresh: float | None = None,
 ) -> Run:
-    """Solve u_t + K f(u_x - 1) = 0 on the nodes of a grid, with the unknown W = u - x (theory, §2).
+    """Solve u_t + K f(u_x - 1) = 0 on the nodes of a grid, with the unknown W = u - x (§12).
 
     - `problem`: law, profile, end and saved times; all dimensionless.
     - `grid`: left end and number of cells; x and u in exchange lengths.
     - `method`: a method for u (docs/cases.md), by default a local Lax-Friedrichs scheme.
     - `cfl`: the time step as a fraction of the largest one that the method admits, up to 1.
     - `progress`: a function that is called with the completed fraction in [0, 1].
-    - `refresh`: refresh interval of a frozen K, in supplied mass (theory, §10); None computes K in every step.
+    - `refresh`: refresh interval of a frozen K, in supplied mass (§8); None computes K in every step.
 
     Return a `Run` at the saved times, with u and K of shape (times, cells + 1) and q of shape (times, cells). A run
     that breaks down later returns the good states, with the reason in `status`. Raise InputError for invalid input, and
@@ -95,7 +95,7 @@ def track_fronts(
     progress: Progress | None = None,
     exact: bool | None = None,
 ) -> Run:
-    """Solve by front tracking, and evaluate the result on a grid (theory, §5).
+    """Solve by front tracking, and evaluate the result on a grid (§13).
 
     - `problem`: law, profile, end and saved times; q must be 0 at the left end.
     - `grid`: the nodes of the result, by default 2000 cells over the profile.
@@ -127,7 +127,7 @@ def solve_characteristics(
     progress: Progress | None = None,
     patience: float = np.inf,
 ) -> Run:
-    """Solve by shock-fitted characteristics, and evaluate the result on a grid (theory, §5).
+    """Solve by shock-fitted characteristics, and evaluate the result on a grid (§13).
 
     - `problem`: law, profile, end and saved times; no flux may enter at the left end.
     - `grid`: the nodes of the result, by default 2000 cells over the profile.

@@ -1,4 +1,4 @@
-"""Solution on the whole line by the half line: a window x <= right with a transformed time (theory, §13).
+"""Solution on the whole line by the half line: a window x <= right with a transformed time (§10).
 
 Right of the window I = W + R(q) is constant. There K/R(q) is constant too, hence K(t, right) = R(q)/R(0). q at x =
 right decays at constant I and moves with the speed 1/R(0). So K at the end of the window is known before the run, and

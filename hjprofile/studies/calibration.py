@@ -38,7 +38,7 @@ ENOUGH = 1e-6  # relative change of chi², or of the parameters, at which a fit 
 MOST_STEPS = 60
 FARTHEST = float(np.log(1e6))  # largest distance of a trial from the starting values, in the logarithm
 SECTIONS = "erosion", "profile", "time"
-VOLUME = "poured_volume"
+VOLUME = "supplied_volume"
 
 
 class Parameter(NamedTuple):

@@ -130,7 +130,7 @@ def check_consistency(
 
     With a prescribed coefficient, and with a refresh interval, the volume budget of the nonlocal K and the third
     witness do not exist, and both are omitted. Under a law of linear growth only the methods that support vertical
-    steps are compared (theory, §14). Raise InputError and RunError as `check`.
+    steps are compared (§11). Raise InputError and RunError as `check`.
 
     >>> import hjprofile as hj
     >>> case = hj.load_case("travelling_kink")

@@ -1,11 +1,11 @@
 """Study of continuous dependence on the initial data and on the coefficient.
 
-The study evaluates an estimate of the proof in the paper. For two solutions with coefficients k and k̃ (theory, §11)
+The study evaluates an estimate of the proof in the paper. For two solutions with coefficients k and k̃ (§9)
 
     ‖q - q̃‖₁(t) <= ‖q - q̃‖₁(0) + ∫_0^t E dτ ,      E = ‖k - k̃‖_∞ TV(f(q̃)) + TV(k - k̃) sup|f(q̃)| ,
 
-which is [dep_on_coefficients] with its constants. With k = K(q), k̃ = K(q̃) it is the step before the Gronwall lemma
-that gives [continous-dep-on-init-data].
+which is (2.23) with its constants. With k = K(q), k̃ = K(q̃) it is the step before the Gronwall lemma
+that gives (1.10).
 
 Both solutions of a pair use the same time steps. So with one prescribed coefficient E = 0, and the scheme, which is
 monotone and conservative, increases no distance except by rounding.
@@ -291,7 +291,7 @@ def largest_distances(distances: Sequence[Distance], study: str) -> dict[int, tu
 
 
 def observed_constant(distances: Sequence[Distance]) -> float:
-    """Return the smallest L with ‖q - q̃‖₁(t) <= e^{Lt} ‖q - q̃‖₁(0) for all distances [continous-dep-on-init-data]."""
+    """Return the smallest L with ‖q - q̃‖₁(t) <= e^{Lt} ‖q - q̃‖₁(0) for all distances (1.10)."""
     rates = (float(np.log(d.distance / d.size)) / d.time for d in distances if d.time > 0.0 and d.distance > 0.0)
     return max(rates, default=-np.inf)
 

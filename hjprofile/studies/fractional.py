@@ -1,4 +1,4 @@
-"""Study of fractional steps: the error of a frozen K (theory, §10)."""
+"""Study of fractional steps: the error of a frozen K (§8)."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Fractional(NamedTuple):
 def fractional_steps(
     problem: Problem, grid: Grid, method: str = "conservative", refresh: Sequence[float] | None = None
 ) -> Fractional:
-    """Compare S^Δt [eq1-Deltat] for several Δt with the same method and grid, with its K updated in every step.
+    """Compare S^Δt (3.2) for several Δt with the same method and grid, with its K updated in every step.
 
     The solutions differ in the age of K and in their time steps, on which the errors of the scheme depend. This is
     small compared with the error of the fractional step if Δt contains several steps. By default Δt is a fifth of the

@@ -1,4 +1,4 @@
-"""Study of the limit of a thin rolling layer, which is slow erosion (theory, §8)."""
+"""Study of the limit of a thin rolling layer, which is slow erosion (§2)."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Departure(NamedTuple):
 
 
 def slow_erosion(problem: Problem, grid: Grid, supply_fluxes: Sequence[float], cfl: float = 0.9) -> list[Departure]:
-    """Solve [eq2] for each supply flux, and [eq1], all with the same numerical flux on the same grid.
+    """Solve (1.6) for each supply flux, and (1.1), all with the same numerical flux on the same grid.
 
     - `problem`: the problem without a rolling layer.
     - `grid`: left end and number of cells.

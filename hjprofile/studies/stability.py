@@ -1,4 +1,4 @@
-"""Scan of the stability limits of the methods, compared with theory (theory, §7).
+"""Scan of the stability limits of the methods, compared with theory (§3).
 
 A trial uses steps of a stated CFL number Δt max(K f')/Δx, without repetition or adaptation. Its data contain a sawtooth
 of negligible amplitude, so that an instability develops within the run.

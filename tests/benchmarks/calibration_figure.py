@@ -70,7 +70,7 @@ def say(name, rows):
     """Coverage of each, and the spread in standard errors, which should be 1."""
     print(f"{name}: {len(rows)} trials")
     reach = stdtrit(POINTS - len(TRUTH), 0.975)
-    for label, column in zip((*TRUTH, "poured_volume"), rows.T, strict=True):
+    for label, column in zip((*TRUTH, "supplied_volume"), rows.T, strict=True):
         inside = np.count_nonzero(np.abs(column) <= 1.0)
         mean, spread = reach * column.mean(), reach * column.std()
         print(f"  {label:23} in {inside:3} of {len(rows)}; mean {mean:+.2f}, spread {spread:.2f} standard errors")

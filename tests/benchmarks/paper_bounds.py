@@ -1,4 +1,4 @@
-"""Long runs beside the bounds that hold for all times: draws docs/figures/global_bounds.png (theory, §12)."""
+"""Long runs beside the bounds that hold for all times: draws docs/figures/global_bounds.png (§6)."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Pictures and tables of theory §9 and §10: `python tests/benchmarks/paper_coefficient.py` writes and prints them."""
+"""Pictures and tables of §7 and §8: `python tests/benchmarks/paper_coefficient.py` writes and prints them."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Draws docs/figures/dependence.png and prints what theory, §11, says of the shipped cases."""
+"""Draws docs/figures/dependence.png and prints what §9, says of the shipped cases."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""docs/figures/vertical_step.png and the numbers of theory, §14: `python tests/benchmarks/paper_growth.py`."""
+"""docs/figures/vertical_step.png and the numbers of §11: `python tests/benchmarks/paper_growth.py`."""
 
 import sys
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""docs/figures/slow_erosion.png, and the numbers of theory §8: `python tests/benchmarks/paper_layer.py`."""
+"""docs/figures/slow_erosion.png, and the numbers of §15: `python tests/benchmarks/paper_layer.py`."""
 
 from dataclasses import replace
 from pathlib import Path

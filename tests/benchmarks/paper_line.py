@@ -1,4 +1,4 @@
-"""docs/figures/whole_line.png, and numbers of theory §13: `python tests/benchmarks/paper_line.py`."""
+"""docs/figures/whole_line.png, and numbers of §10: `python tests/benchmarks/paper_line.py`."""
 
 from pathlib import Path
 
@@ -56,7 +56,7 @@ def main():
                 colour = "k"
             right.plot(t, x, color=colour, ls=style, lw=1.4, label=f"{name}, amplitude {amplitude:g}")
     right.axhline(6.0, color="0.7", lw=0.8)
-    right.set(xlabel="t: mass of grains poured in", ylabel="place of the kink", xlim=(0.0, 16.0))
+    right.set(xlabel="t: supplied mass of grains", ylabel="position of the kink", xlim=(0.0, 16.0))
     right.set_title("one kink: the same speed f'(0) for each amplitude", fontsize=9, loc="left")
     right.legend(fontsize=8, frameon=False, loc="lower right")
     right.grid(alpha=0.25, lw=0.5)

@@ -120,7 +120,7 @@ ELSEWHERE = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n in shipped_cases() if n not in ELSEWHERE])
 def test_the_grid_solvers_converge_to_fronts(name):
-    """14 grids of 500 to 4000 cells against 6400 fronts; table in theory §5.
+    """14 grids of 500 to 4000 cells against 6400 fronts; table in §13.
 
     In L1(u) Godunov's scheme shows 0.99 or more, but 0.85 on `deposit` and 0.93 on the hillslope: at a fan its error
     is dx ln(1/dx). In L1(q) the place of a kink in its cell makes the error jitter: that of the second-order scheme,

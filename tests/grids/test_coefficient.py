@@ -52,7 +52,7 @@ def both(order, error, low, high, most):
     [("godunov", 0.8, 5.6e-4), ("local-lax-friedrichs", 0.8, 6e-4), ("conservative", 0.6, 1.7e-4)],
 )
 def test_a_kink_runs_into_the_steady_slope(method, low, most):
-    """§6f with its own K = 1 - a x for coefficient: left of the kink q = 0, whatever k is there."""
+    """§5f with its own K = 1 - a x for coefficient: left of the kink q = 0, whatever k is there."""
     problem = hj.Problem(
         hj.rational(), hj.steady(0.5, -1.0), end=0.5, snapshots=6, coefficient=hj.coefficient("1 - 0.5*x")
     )
@@ -68,7 +68,7 @@ def test_a_kink_runs_into_the_steady_slope(method, low, most):
 
 
 def k_of_the_travelling_kink(t, x):
-    """K of §6a for A = 1, s₀ = -3: (1 + q(x))/(1 + q(0)), constant left of the kink."""
+    """K of §5a for A = 1, s₀ = -3: (1 + q(x))/(1 + q(0)), constant left of the kink."""
     c = -3.0 + np.exp(-3.0) + t
     s = c - lambertw(np.exp(c)).real
     return (1.0 + np.exp(-np.maximum(x - s, 0.0))) / (1.0 + np.exp(s))
@@ -78,7 +78,7 @@ def k_of_the_travelling_kink(t, x):
     ("method", "low", "most"), [("godunov", 0.85, 3.7e-3), ("telescoping", 0.85, 3.7e-3), ("conservative", 0.6, 4.5e-4)]
 )
 def test_a_travelling_kink_with_its_own_K(method, low, most):
-    """§6a: the coefficient depends on time, and has a corner that travels with the kink."""
+    """§5a: the coefficient depends on time, and has a corner that travels with the kink."""
     problem = hj.Problem(
         hj.rational(),
         hj.kinks([-3.0], [1.0]),
@@ -114,7 +114,7 @@ def smooth_means(t, grid, law):
 
 @pytest.mark.parametrize(
     ("method", "low", "high", "most"),
-    [  # measured: see theory, §9
+    [  # measured: see §7
         ("godunov", 0.85, 1.1, 1e-2), ("telescoping", 0.85, 1.1, 1e-2), ("local-lax-friedrichs", 0.85, 1.1, 1e-2),
         ("conservative", 1.8, 2.4, 1e-4), ("eno2", 1.65, 2.2, 2e-4), ("conservative-eno2", 1.65, 2.2, 2e-4),
         ("weno5", 3.7, 5.5, 3e-7), ("conservative-weno5", 3.7, 5.5, 3e-7),
@@ -198,7 +198,7 @@ def test_contraction_is_lost_with_too_long_steps():
 
 @pytest.mark.parametrize("method", ["godunov", "telescoping", "conservative-godunov"])
 def test_flux_decays_on_random_data(method, monkeypatch):
-    """[decay_sup_flux], [decay_tv_flux] over the whole run, k = k(x), looked at after every lot of steps."""
+    """[decay_sup_flux], (2.7) over the whole run, k = k(x), looked at after every lot of steps."""
     monkeypatch.setattr(BoundsMonitor, "wants", lambda self, state: True)
     rng = np.random.default_rng(3)
     for _ in range(3):
@@ -236,7 +236,7 @@ def test_a_flux_that_grows_is_told(monkeypatch):
     law=st.sampled_from([hj.rational(), hj.log()]), method=st.sampled_from(HJ_METHODS),
 )  # fmt: skip
 def test_both_forms_agree_to_rounding(values, line, law, method):
-    """The identity of §2, with a coefficient that depends on t and x."""
+    """The identity of §12, with a coefficient that depends on t and x."""
     profile = hj.steps(np.linspace(-3.0, 0.0, len(values) + 1), values)
     problem = hj.Problem(law, profile, end=0.1, snapshots=3, coefficient=broken_line(line, -4.0))
     runs = [solve(problem, hj.Grid(-4.0, 160), name) for name in (method, f"conservative-{method}")]

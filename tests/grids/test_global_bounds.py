@@ -1,4 +1,4 @@
-"""The bounds that hold for all times [theorem 1, §3.2], in runs that come as near to them as they can (theory, §12)."""
+"""The bounds that hold for all times [theorem 1, §6.2], in runs that come as near to them as they can (§6)."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def height(run):
 
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 def test_the_upper_bound_is_reached_by_the_last_kink(law):
-    """q/f(q) <= sup(q/f(q) + W) at t = 0 [qBound]: when the last kink has swallowed the others, W = 0 on its left and
+    """q/f(q) <= sup(q/f(q) + W) at t = 0 (3.16): when the last kink has swallowed the others, W = 0 on its left and
     its crest has the largest value there was; until it leaves."""
     positions, amplitudes = [-14.0, -12.5, -11.0], [0.3, 0.6, 0.9]
     problem = hj.Problem(law, hj.kinks(positions, amplitudes), end=10.0, snapshots=101)

@@ -166,7 +166,7 @@ laws = st.sampled_from([hj.rational(), hj.log(), hj.power(2.0)])
 @settings(max_examples=60, deadline=None)
 @given(values=step_data, law=laws, method=st.sampled_from(HJ_METHODS))
 def test_both_forms_agree_to_rounding(values, law, method):
-    """The identity of §2 on random data: D u - 1 of one form is q of the other."""
+    """The identity of §12 on random data: D u - 1 of one form is q of the other."""
     profile = hj.steps(np.linspace(-3.0, 0.0, len(values) + 1), values)
     problem = hj.Problem(law, profile, end=0.2, snapshots=3)
     grid = hj.Grid(-4.0, 160)
@@ -195,7 +195,7 @@ def test_promised_bounds_hold(values, law, method):
     method=st.sampled_from(["lax-friedrichs", "godunov"]),
 )
 def test_comparison_principle_with_K_frozen(data, rise, method):
-    """Raising W anywhere raises it everywhere after a step, as long as K is the same (§2). Not so with K of its own."""
+    """Raising W anywhere raises it everywhere after a step, if K is the same (§12), but not with K of its own."""
     law, grid = hj.rational(), hj.Grid(-1.0, 8)
     low = np.concatenate([[0.0], np.cumsum(data) * grid.dx])
     high = low + np.array(rise)
@@ -239,7 +239,7 @@ def test_a_run_that_stops_after_its_saved_times_adds_its_last_good_state(method)
 
 
 def test_telescoping_flux_keeps_the_volume_budget_to_rounding():
-    """§6g: the volume that is eroded is what arrives at the foot beyond what was poured in."""
+    """§5g: the volume that is eroded is what arrives at the foot beyond what was poured in."""
     problem = hj.Problem(hj.power(3.0), hj.bumps([1.5, -0.6], [-3.0, -1.5], [0.4, 0.3]), end=1.0, snapshots=5)
     for method in ("telescoping", "conservative-telescoping"):
         run = solve(problem, hj.Grid(-6.0, 300), method)

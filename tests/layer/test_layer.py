@@ -1,4 +1,4 @@
-"""The 2x2 model with a rolling layer [eq2] and its limit: exact solutions, a resolved solution, rates, positivity."""
+"""The 2x2 model with a rolling layer (1.6) and its limit: exact solutions, a resolved solution, rates, positivity."""
 
 from dataclasses import replace
 
@@ -48,7 +48,7 @@ def with_steady_layer(kink, supply_flux, cells):
 
 @pytest.mark.parametrize("supply_flux", [2.0, 0.5, 0.05])
 def test_the_steady_slope_is_steady_below_any_layer(supply_flux):
-    """p = (1 - a x)/(1 - a - a x), H = 1 - a - a x solves [eq2] for every supply flux; the scheme is first order."""
+    """p = (1 - a x)/(1 - a - a x), H = 1 - a - a x solves (1.6) for every supply flux; the scheme is first order."""
     cells = (250, 500, 1000)
     u, q = zip(*(with_steady_layer(None, supply_flux, n) for n in cells), strict=True)
     assert 0.9 <= hj.observed_order(cells, u) <= 1.1 and 0.9 <= hj.observed_order(cells, q) <= 1.1
@@ -57,7 +57,7 @@ def test_the_steady_slope_is_steady_below_any_layer(supply_flux):
 
 @pytest.mark.parametrize("supply_flux", [2.0, 0.5, 0.05, 0.001])
 def test_the_kink_into_the_steady_slope_takes_the_same_path_below_any_layer(supply_flux):
-    """Rankine-Hugoniot for p with p = 1 on the left: s' = H(s⁺), the same path for every supply flux (theory, §6f)."""
+    """Rankine-Hugoniot for p with p = 1 on the left: s' = H(s⁺), the same path for every supply flux (§5f)."""
     cells = (250, 500, 1000, 2000)
     u, q = zip(*(with_steady_layer(-1.0, supply_flux, n) for n in cells), strict=True)
     # 0.96 to 1.09 measured: the place of the kink in its cell makes the error of q jitter
@@ -67,7 +67,7 @@ def test_the_kink_into_the_steady_slope_takes_the_same_path_below_any_layer(supp
 
 @pytest.mark.parametrize(("supply_flux", "end"), [(0.2, 2.0), (0.05, 0.6)])
 def test_the_resolved_model_is_approached(supply_flux, end):
-    """Against second-order steps that resolve the fast time of [eq2], in its own variables."""
+    """Against second-order steps that resolve the fast time of (1.6), in its own variables."""
     left, cells, fine = -4.0, (100, 200, 400), 800
     q, h = resolved_layer(SMALL.q_means(hj.Grid(left, fine), hj.rational()), left, supply_flux, end)
     off, layers = [], []
@@ -106,7 +106,7 @@ def test_the_departure_is_that_of_all_saved_times():
 
 @pytest.mark.parametrize("profile", [T2, KINK], ids=["smooth", "kink"])
 def test_a_vanishing_layer_is_the_limit_step_for_step(profile):
-    """With ε = 1e-14 each step is that of the telescoping scheme for [eq1]; with 1e-300 too, as nothing is divided."""
+    """With ε = 1e-14 each step is that of the telescoping scheme for (1.1); with 1e-300 too, as nothing is divided."""
     grid, problem = hj.Grid(-10.0, 400), hj.Problem(hj.rational(), profile, end=1.0)
     limit = scheme_of(problem, grid, LAYER_METHOD)
     thin = [scheme_of(replace(problem, supply_flux=e), grid, LAYER_METHOD) for e in (1e-14, 1e-300)]
@@ -143,7 +143,7 @@ def test_layer_and_slope_stay_positive_and_grains_are_kept(profile, decades, cfl
     run = hj.solve_conservative(problem, hj.Grid(-4.5, 90), LAYER_METHOD, cfl)
     assert run.done and run.broken_bounds == []
     assert np.all(run.q > -1.0) and np.all(run.K[1:] > 0.0)
-    # not a theorem for [eq2], but with a layer that fills for the first time no slope ever fell below the least
+    # not a theorem for (1.6), but with a layer that fills for the first time no slope ever fell below the least
     assert run.q.min() >= min(run.q[0].min(), 0.0) - 1e-12
     grains = run.eroded_volume + problem.end
     assert run.volume_budget_error <= 1e-11 * (1.0 + grains)

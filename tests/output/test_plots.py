@@ -327,7 +327,7 @@ def test_a_fit_is_legible_and_says_what_it_found():
     figure.canvas.draw()
     assert_legible(figure)
     title, *lines = [text.get_text() for text in figure.texts]
-    assert title == found.title and [line.split(" = ")[0] for line in lines] == ["time.end", "poured_volume"]
+    assert title == found.title and [line.split(" = ")[0] for line in lines] == ["time.end", "supplied_volume"]
     value, low, high = (float(word.strip(",").replace(",", "")) for word in np.array(lines[1].split())[[2, 3, 5]])
     assert low < found.volume.value < high and value == pytest.approx(found.volume.value, abs=0.5)
     assert len(keys_of(figure)) == 4 and all(axes.get_ylabel() for axes in figure.axes)

@@ -256,7 +256,7 @@ def test_the_command_and_its_files(slope, coarse, call, tmp_path):
     vary = [v for name in TRUTH for v in ("--vary", name)]
     code, text, error = call("fit", path, after, *vary, "--sigma", "0.4", "--out", out)
     assert (code, error) == (0, "")
-    assert "time.end" in text and "chi²" in text and "poured_volume" in text
+    assert "time.end" in text and "chi²" in text and "supplied_volume" in text
     report = json.loads((out / "fit.json").read_text())
     assert list(report["parameters"]) == list(TRUTH)
     for name, row in report["parameters"].items():
@@ -264,7 +264,7 @@ def test_the_command_and_its_files(slope, coarse, call, tmp_path):
         assert low < row["value"] < high and row["start"] == START[name]
         assert f"{row['value']:.6g}" in text
     p = {name: row["value"] for name, row in report["parameters"].items()}
-    assert report["poured_volume"]["value"] == pytest.approx(
+    assert report["supplied_volume"]["value"] == pytest.approx(
         p["time.end"] * p["profile.length"] ** 2 * p["profile.critical_slope"]
     )
     assert (report["points"], report["sigma"]) == (41, {"value": 0.4, "from": "given"})

@@ -26,7 +26,7 @@ def distances():
     "k", ["exp(-0.2*x)", "exp(-0.3*x)*(1 + 0.5*t*exp(-(x + 1.5)**2))", lambda t, x: np.exp(-0.2 * x) + 0.0 * t]
 )
 def test_with_one_prescribed_coefficient_no_distance_grows(k, monkeypatch):
-    """The theorem gives L = 0 [L1-contraction], and a monotone conservative scheme keeps it to rounding."""
+    """The theorem gives L = 0 (2.3), and a monotone conservative scheme keeps it to rounding."""
     monkeypatch.setattr(study, "CELLS", 400)
     monkeypatch.setattr(study, "PAIRS", 3)
     monkeypatch.setattr(study, "WAVES", 1)

@@ -75,7 +75,7 @@ def test_a_refresh_shorter_than_a_step_is_a_step():
 
 
 def test_a_coefficient_can_be_kept_too():
-    """k_Δt [k_Deltat] of a k(t, x): first order in Δt."""
+    """k_Δt (2.4) of a k(t, x): first order in Δt."""
     k = hj.coefficient("exp(-0.2*x)*(1 + 0.5*t)")
     problem = hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0, coefficient=k)
     study = fractional_steps(problem, hj.Grid(-5.0, 1000), "conservative", [0.2, 0.1, 0.05])

@@ -130,7 +130,7 @@ def test_members_are_the_runs_that_they_say(scene):
 
 
 def test_the_steady_slope_over_flux_and_end(in_tmp):
-    """A closed form for a whole table: under the steady slope of flux a everything sinks by a t (theory, §6e)."""
+    """A closed form for a whole table: under the steady slope of flux a everything sinks by a t (§5e)."""
     case = write_case(in_tmp, profile={"kind": "steady", "flux": 0.5}, erosion={"law": "rational"})
     flux, end = np.linspace(0.2, 0.5, 3), np.array([0.5, 1.0])
     cells = [200, 400]
@@ -139,7 +139,7 @@ def test_the_steady_slope_over_flux_and_end(in_tmp):
     exact = {
         "crest_lowering": (sunk, 1.4e-3),  # and what was measured: 1.16e-3
         "eroded_volume": (4.0 * sunk, 2.2e-3),  # 1.85e-3
-        "K_foot": ((1.0 + 4.0 * flux)[:, None], 2.0e-3),  # 1.70e-3
+        "K_toe": ((1.0 + 4.0 * flux)[:, None], 2.0e-3),  # 1.70e-3
         "q_max": ((flux / (1.0 - flux))[:, None], 5.5e-3),  # 4.65e-3
         "q_min": ((foot / (1.0 - foot))[:, None], 4e-4),  # 3.3e-4
     }

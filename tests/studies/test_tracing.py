@@ -10,7 +10,7 @@ from scipy.special import lambertw
 import hjprofile as hj
 from hjprofile.studies.tracing import kink_paths, place, slope_between, trace_back, traceable_law
 
-A, START, END = 1.2, -5.0, 4.0  # a travelling kink (theory, section 6a), which is at x = -1.31 in the end
+A, START, END = 1.2, -5.0, 4.0  # a travelling kink (theory, section 5a), which is at x = -1.31 in the end
 
 
 def kink(t):
@@ -77,7 +77,7 @@ def test_down_to_the_kinks_that_merged():
 
 
 def test_steady_slope():
-    """K = 1 - a x, dx/dt = (K - a)²/K: ln(K - a) - a/(K - a) + a t is constant (theory, section 6e)."""
+    """K = 1 - a x, dx/dt = (K - a)²/K: ln(K - a) - a/(K - a) + a t is constant (theory, section 5e)."""
     a, off = 0.5, []
     for snapshots in SAVED:
         run = hj.solve(

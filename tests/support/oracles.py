@@ -179,7 +179,7 @@ def means_of_samples(x, q, nodes):
 
 
 def resolved_layer(q, left, supply_flux, end):
-    """Cell means of q and of h below a rolling layer, in the paper's own variables and its own, fast time [eq2].
+    """Cell means of q and of h below a rolling layer, in the paper's own variables and its own, fast time (1.6).
 
     h_t - (h p)_x = (p-1) h, p_t + ((p-1) h)_x = 0, h p = supply_flux at x = 0, no layer at first; upwind with limited
     linear reconstruction (minmod), the source by cell means, Heun's steps that resolve the layer's fast time.

@@ -1,4 +1,4 @@
-"""Laws of linear growth (theory, §14): slopes become infinite, and the profile jumps.
+"""Laws of linear growth (§16): slopes become infinite, and the profile jumps.
 
 The witness is the inverse formulation, x as a function of u (tests/support/oracles.py): as ordinary differential
 equations for two kinks, and on a grid of u with isotonic regression for any profile.

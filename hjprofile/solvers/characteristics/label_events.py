@@ -1,4 +1,4 @@
-"""Events of characteristics: their signs, and the panels after them (theory, §5).
+"""Events of characteristics: their signs, and the panels after them (§14).
 
 An event is a name and an index with a value that becomes negative: ("birth", panel), ("merge", segment between two
 shocks), ("exit", shock), ("left" or "right", shock) if a label reaches a joint across which fields are not analytic,

@@ -1,4 +1,4 @@
-"""Labels of characteristics in time: steps of order 8, adaptive panels, and events (theory, §5)."""
+"""Labels of characteristics in time: steps of order 8, adaptive panels, and events (§14)."""
 
 from __future__ import annotations
 
@@ -297,7 +297,7 @@ class MovingLabels(Solution):
         if not (a > 0.0 and bend > 0.0 and far > 0.0):
             born = "a kink would be born at x = {x:.6g} where the theory of its birth does not apply"
             raise Lost(Stop(Reason.LABELS_LOST, born, values={"x": Place(x)}))
-        if at_left or at_right:  # X = -a τ δ + bend δ²/2 on the side that folds, X_ξ = far on the other (theory, §5)
+        if at_left or at_right:  # X = -a τ δ + bend δ²/2 on the side that folds, X_ξ = far on the other (§14)
             near = [1.5 * a / bend, 1.0], [0.375 * a * a / (bend * far), 2.0]
             sides = near[::-1] if at_left else near
         else:  # X = -a τ δ + bend δ³

@@ -1,4 +1,4 @@
-"""Labels of characteristics on panels of Chebyshev points, constructed from a profile (theory, §5).
+"""Labels of characteristics on panels of Chebyshev points, constructed from a profile (§14).
 
 A label is the initial position of a characteristic; inside the fan of a downward jump it is ln R. On each panel r =
 R(q), X and I = W + r are polynomials of the label.

@@ -1,4 +1,4 @@
-"""Shock-fitted characteristics: the solution to rounding, through births, merges and exits of kinks (theory, §5).
+"""Shock-fitted characteristics: the solution to rounding, through births, merges and exits of kinks (§14).
 
 Over the labels of characteristics r = R(q) and X satisfy ordinary differential equations with one quadrature. A shock
 is the pair of labels that meet in it, found by algebra. Steps are of order 8, panels are halved where necessary, and

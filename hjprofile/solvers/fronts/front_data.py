@@ -1,4 +1,4 @@
-"""Initial data of front tracking: pieces of constant I = W + R(q), distributed by their error (theory, §5)."""
+"""Initial data of front tracking: pieces of constant I = W + R(q), distributed by their error (§13)."""
 
 from __future__ import annotations
 

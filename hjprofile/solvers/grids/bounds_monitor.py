@@ -1,4 +1,4 @@
-"""Monitor of the a-priori bounds and budgets that every run must satisfy (theory, §1 and §3)."""
+"""Monitor of the a-priori bounds and budgets that every run must satisfy (§1 and §6)."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ MONOTONE: Guarantees = MappingProxyType(
     }
 )
 TELESCOPING: Guarantees = MappingProxyType({**MONOTONE, "volume_budget": EXACT})
-# a law of linear growth (theory, §14): q and its variation are unbounded
+# a law of linear growth (§11): q and its variation are unbounded
 STEEP: Guarantees = MappingProxyType({**TELESCOPING, **dict.fromkeys(("upper_bound", "tv_growth"))})
 STEEP_SECOND_ORDER: Guarantees = MappingProxyType(
     {name: accuracy and FIRST_ORDER for name, accuracy in STEEP.items()}
@@ -63,13 +63,13 @@ class BoundsMonitor:
     With q(0) the data, q⁺ and q⁻ their positive and negative parts:
 
     - mass_budget: ∫q changes by the inflow less the lowering of the crest.
-    - volume_budget: the eroded volume is ∫(K(left) - 1) dt (§6g): to rounding if the flux telescopes, else within dx ∫∫
+    - volume_budget: the eroded volume is ∫(K(left) - 1) dt (§5g): to rounding if the flux telescopes, else within dx ∫∫
       (K f² + max(K f') |q_x|) dx dt, the first-order difference between Σ F dx and K(left) - 1.
     - minimum_principle: q >= min(inf q(0), 0).
     - signs: q of one sign at t = 0 retains its sign.
     - l1_decay: ‖q‖₁ does not increase.
     - factor_bounds: -f'(inf q(0)) ‖q⁻‖₁ <= ln K <= f'(0) ‖q⁺‖₁; the margin is the unused fraction.
-    - upper_bound: q/f(q) <= sup(q(0)/f(q(0)) + W(0)) + ‖q⁻‖₁ [qBound]; the margin is the unused fraction of the excess
+    - upper_bound: q/f(q) <= sup(q(0)/f(q(0)) + W(0)) + ‖q⁻‖₁ (3.16); the margin is the unused fraction of the excess
       over 1/f'(0).
     - tv_growth: TV(q) grows by ∫ TV(K f²) dt at most; the margin is the unused fraction.
     - flux_maximum, flux_variation, kruzkov: with K frozen at a state, a step of the method's own length does not raise

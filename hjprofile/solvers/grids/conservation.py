@@ -2,7 +2,7 @@
 
 `SecondOrder` is an independent discretisation: it shares neither reconstruction, quadrature for K, nor time step with
 the Hamilton-Jacobi solver, so agreement of the two is evidence. `FirstOrder` uses the fluxes of the Hamilton-Jacobi
-solver in a separate numpy implementation. Differencing one form gives the other identically (theory, §2), so the two
+solver in a separate numpy implementation. Differencing one form gives the other identically (§12), so the two
 must agree to rounding.
 """
 

@@ -26,7 +26,7 @@ class Factor:
 
     Attributes:
         coefficient: k(t, x), or None for the nonlocal K.
-        refresh: refresh interval of a frozen K (theory, §10); None if K is computed in every step.
+        refresh: refresh interval of a frozen K (§8); None if K is computed in every step.
         frozen_K: the frozen K at the nodes, shape (cells + 1,); empty if none is frozen.
     """
 
@@ -75,7 +75,7 @@ class Factor:
         return Given(np.ascontiguousarray(k[:, first : last + 1])), speed
 
     def fill(self, law: GridLaw, q: Array, K: Array) -> tuple[GridLaw, float]:
-        """Fill K at the nodes, from q by the midpoint rule if it is not prescribed (theory, §2).
+        """Fill K at the nodes, from q by the midpoint rule if it is not prescribed (§12).
 
         Return the law for slopes as large as q, and the largest K f'. Raise Breakdown if q is not above -1 everywhere,
         or if K f' is not a finite number.

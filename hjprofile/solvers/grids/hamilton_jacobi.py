@@ -1,7 +1,7 @@
 """Schemes for the Hamilton-Jacobi equation u_t + K f(u_x - 1) = 0 on nodes.
 
 The unknown is W = u - x, which satisfies the same equation with less rounding than u. With q the difference quotients
-of W on the cells and F the numerical flux, a step is W_i -= Δt F_i (theory, §2).
+of W on the cells and F the numerical flux, a step is W_i -= Δt F_i (§12).
 """
 
 from __future__ import annotations

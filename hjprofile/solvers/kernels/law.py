@@ -1,6 +1,6 @@
 """Tabulated erosion law in the variables of the invariant.
 
-Where I = W + R(q) is constant in x, r = R(q) satisfies (ln r)_x = -f, and K/r is constant (theory, §5). The tables are
+Where I = W + R(q) is constant in x, r = R(q) satisfies (ln r)_x = -f, and K/r is constant (§13). The tables are
 polynomials over rho = ln r. They contain the coordinate s(rho) = q exp(..) in which the decay is linear: s(x) = s(0)
 exp(-rate x), rate = 1/R'(0). For the rational law r = 1 + q and s = q.
 """

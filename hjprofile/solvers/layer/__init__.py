@@ -1,1 +1,1 @@
-"""A rolling layer of finite thickness (theory, §8)."""
+"""A rolling layer of finite thickness (§15)."""

@@ -1,4 +1,4 @@
-"""Scheme for the bed below a rolling layer of finite thickness (theory, §8)."""
+"""Scheme for the bed below a rolling layer of finite thickness (§15)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hjprofile.solvers.run import Array, Breakdown
 
 
 class WithLayer(FirstOrder):
-    """The telescoping flux below a rolling layer of finite thickness, by the 2x2 model (theory, §8).
+    """The telescoping flux below a rolling layer of finite thickness, by the 2x2 model (§15).
 
     With ε the supplied flux, the thickness of the layer is ε H. H lives on the cells and is initially 0; K is the grain
     flux at the nodes in the last step, relative to ε. For ε -> 0 the scheme is `FirstOrder`. `toe_gain` includes the

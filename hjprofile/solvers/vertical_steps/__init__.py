@@ -1,1 +1,1 @@
-"""Laws of linear growth: vertical steps on grids and by fronts (theory, §14)."""
+"""Laws of linear growth: vertical steps on grids and by fronts (§16)."""

@@ -1,4 +1,4 @@
-"""Laws of linear growth on grids: a scheme in which vertical steps form, and their detection (theory, §14)."""
+"""Laws of linear growth on grids: a scheme in which vertical steps form, and their detection (§16)."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class StepsOnGrid:
 class SecondOrderTelescoping(FirstOrder):
     """F̂_i = (K_{i-1/2} - K_{i+1/2})/Δx with K in the middle of cells, for laws of linear growth; Heun's method.
 
-    For any such K a vertical step moves with (K⁻ - K⁺)/m; q >= 0 and q <= 0 are preserved if cfl <= 1 (theory, §14).
+    For any such K a vertical step moves with (K⁻ - K⁺)/m; q >= 0 and q <= 0 are preserved if cfl <= 1 (§16).
     """
 
     def __init__(self, law: GridLaw, grid: Grid, q: Array, W_left: float, inflow: float, flux: Flux):

@@ -1,4 +1,4 @@
-"""Fronts under a law of linear growth: kinks that become vertical steps (theory, §14).
+"""Fronts under a law of linear growth: kinks that become vertical steps (§16).
 
 If the data are kinks only, an adaptive method of order 8 integrates them to rounding and locates each blow-up, merge
 and exit in time. Fronts of smooth data move by classical Runge-Kutta steps, with second order in the number of fronts.

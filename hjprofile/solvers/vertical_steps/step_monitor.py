@@ -1,4 +1,4 @@
-"""Monitor of the vertical steps of u on a grid, under a law of linear growth (theory, §14).
+"""Monitor of the vertical steps of u on a grid, under a law of linear growth (§16).
 
 A scheme spreads a vertical step over a layer of cells. Outside the layer W + R(q) changes little, so W is continued
 into the layer from either side along a piece of constant I. The position of the step preserves the area under u in the

@@ -1,4 +1,4 @@
-"""Signs that announce the events of characteristics: folds of X, and distances that shrink to 0 (theory, §5).
+"""Signs that announce the events of characteristics: folds of X, and distances that shrink to 0 (§14).
 
 The conventions are those of `kernels.labels`.
 """

@@ -1,4 +1,4 @@
-"""Loops of shock-fitted characteristics: rates of r = R(q) and X over labels, steps, and evaluation (theory, §5).
+"""Loops of shock-fitted characteristics: rates of r = R(q) and X over labels, steps, and evaluation (§14).
 
 The conventions are those of `kernels.labels`.
 """

@@ -1,4 +1,4 @@
-"""Labels of characteristics on panels of Chebyshev points, and the pairs of labels that meet in a shock (theory, §5).
+"""Labels of characteristics on panels of Chebyshev points, and the pairs of labels that meet in a shock (§14).
 
 The position of a label is base[p] + X, with X = 0 at the start where its panel p begins. Far from x = 0 its rounding
 error is then relative to the distance travelled, not to x. Segments of panels lie between shocks. A shock holds the

@@ -1,6 +1,6 @@
 """Fronts and the pieces between them: one-sided values and speeds.
 
-I = W + R(q) is constant between fronts. There r = R(q) decays as in `kernels.law`, and K/r is constant (theory, §5).
+I = W + R(q) is constant between fronts. There r = R(q) decays as in `kernels.law`, and K/r is constant (§13).
 Distances over which a tabulated law varies little, h (1 + |f|) <= `near`, are bridged by a Taylor series.
 """
 

@@ -39,7 +39,7 @@ class Tabulated(NamedTuple):
 
 
 class Linear(Tabulated):
-    """The same table for a law of linear growth: f Δx is not small where the profile jumps (theory, §14)."""
+    """The same table for a law of linear growth: f Δx is not small where the profile jumps (§11)."""
 
 
 @vectorised

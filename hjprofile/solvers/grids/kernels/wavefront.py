@@ -32,7 +32,7 @@ class LocalLaxFriedrichs(NamedTuple):
     """F = K f(½(q⁻+q⁺)) - ½ α (q⁺-q⁻), α = K max(f'(q⁻), f'(q⁺)): f' is decreasing.
 
     No new mean lies outside the range of its old neighbours (up to K f² Δt), and total variation does not grow, if Δt K
-    (max f' + ½ (f'(q⁺) - f'(q⁻))⁺) <= Δx with the largest K of the node and its neighbours (theory, §2).
+    (max f' + ½ (f'(q⁺) - f'(q⁻))⁺) <= Δx with the largest K of the node and its neighbours (§12).
     """
 
     bound: float
@@ -83,7 +83,7 @@ def exp_quadratic(z):
 
 @by_type
 def K_ratio(law, z):
-    """Return K_{i-1}/K_i in schemes of first order: `exp_quadratic`, or e^z for a law of linear growth (§14)."""
+    """Return K_{i-1}/K_i in schemes of first order: `exp_quadratic`, or e^z for a law of linear growth (§11)."""
     return (lambda law, z: math.exp(z)) if law.instance_class is Linear else (lambda law, z: exp_quadratic(z))
 
 

@@ -1,4 +1,4 @@
-"""Sweep of the 2x2 model for the rolling layer, of which slow erosion is the limit (theory, §8).
+"""Sweep of the 2x2 model for the rolling layer, of which slow erosion is the limit (§15).
 
 Nodes have the indices 0..N, cells 0..N-1; cell i lies between nodes i and i+1. Grains roll from node N to node 0.
 """

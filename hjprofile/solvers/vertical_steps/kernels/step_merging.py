@@ -1,4 +1,4 @@
-"""Merges of kinks and vertical steps, in the conventions of `steps` (theory, §14)."""
+"""Merges of kinks and vertical steps, in the conventions of `steps` (§16)."""
 
 import math
 

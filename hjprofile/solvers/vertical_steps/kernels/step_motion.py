@@ -1,4 +1,4 @@
-"""Time stepping of fronts under linear growth, in the conventions of `steps` (theory, §14)."""
+"""Time stepping of fronts under linear growth, in the conventions of `steps` (§16)."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""Transitions between kinks and vertical steps, births and exits, in the conventions of `steps` (theory, §14)."""
+"""Transitions between kinks and vertical steps, births and exits, in the conventions of `steps` (§16)."""
 
 import math
 

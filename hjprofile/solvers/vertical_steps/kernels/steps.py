@@ -1,4 +1,4 @@
-"""Front tracking for laws of linear growth, with infinite slopes and vertical steps (theory, §14).
+"""Front tracking for laws of linear growth, with infinite slopes and vertical steps (§16).
 
 As in `fronts.kernels.front_state` I = W + R(q) is constant between fronts. A front is a kink, at which W is continuous,
 or a vertical step, at which W jumps by m. W on the left of a vertical step does not determine the piece on its right,

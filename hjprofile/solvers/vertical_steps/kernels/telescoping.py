@@ -1,4 +1,4 @@
-"""Loops of the second-order scheme for laws of linear growth (theory, §14)."""
+"""Loops of the second-order scheme for laws of linear growth (§16)."""
 
 import math
 
