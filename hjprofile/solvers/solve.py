@@ -33,7 +33,7 @@ def solve_hj(
     """Solve u_t + K f(u_x - 1) = 0 on the nodes of a grid, with the unknown W = u - x (§12).
 
     - `problem`: law, profile, end and saved times; all dimensionless.
-    - `grid`: left end and number of cells; x and u in exchange lengths.
+    - `grid`: left end, in exchange lengths, and number of cells.
     - `method`: a method for u (docs/cases.md), by default a local Lax-Friedrichs scheme.
     - `cfl`: the time step as a fraction of the largest one that the method admits, up to 1.
     - `progress`: a function that is called with the completed fraction in [0, 1].
