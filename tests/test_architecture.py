@@ -16,8 +16,8 @@ HOME = Path(hjprofile.__file__).parent
 WINGS = ("grids", "fronts", "characteristics", "layer", "vertical_steps")
 # from the bottom up
 ROOMS = (
-    "errors", "error_page", "interrupts", "files", "problem", "solvers.kernels", "solvers.stop", "solvers.run", "solvers",
-    "studies", "output", "cli",
+    "errors", "error_page", "interrupts", "files", "problem", "solvers.kernels", "solvers.stop", "solvers.run",
+    "solvers", "studies", "output", "cli",
 )  # fmt: skip
 KERNELS = ("solvers.kernels", *(f"solvers.{wing}.kernels" for wing in WINGS))
 ONLY_IN = {  # package -> the modules and rooms that may import it

@@ -77,7 +77,7 @@ ONE = {  # changes to VALID that are one fault, which could be taken for two -> 
     ),
     "a required key misspelt": ({"time": {"ed": 1.0}}, "[time] end is missing ('ed' is not a known key)"),
     "a required key in capitals": ({"time": {"END": 1.0}}, "[time] end is missing ('END' is not a known key)"),
-    "a chooser misspelt": ({"profile": {"kynd": "steady", "flux": 0.3}}, "[profile] kind is missing ('kynd' is not a known key)"),
+    "a chooser misspelt": ({"profile": {"kynd": "steady", "flux": 0.3}}, "[profile] kind is missing ('kynd' is not"),
     "a law misspelt, whose keys are unknown": ({"erosion": {"law": "powr", "m": 2.0}}, "[erosion] law = 'powr' is not"),
     "a section that is no table": ({"domain": 3}, "domain = 3 must be a table"),
     "a profile at fault, whose grid is unknown": (
