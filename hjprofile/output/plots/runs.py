@@ -140,7 +140,7 @@ def draw_diagram(run: Run) -> Figure:
     lost = [path for number, path in kink_paths(run).items() if number in unresolved(run)]
     if lost:
         ends = scale(np.array([path.x[-1] for path in lost])), [unit * path.time[-1] for path in lost]
-        axes.plot(*ends, **_UNRESOLVED, zorder=3)
+        axes.plot(*ends, **_UNRESOLVED, clip_on=False, zorder=3)
     style.legend_above(figure, keys, rows)
     axes.set_ylabel(t_label)
     axes.yaxis.set_major_formatter(numbers)
