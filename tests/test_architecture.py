@@ -17,8 +17,7 @@ WINGS = ("grids", "fronts", "characteristics", "layer", "vertical_steps")
 # from the bottom up
 ROOMS = (
     "errors", "error_page", "interrupts", "files", "problem", "solvers.kernels", "solvers.stop", "solvers.run",
-    "solvers",
-    "studies", "output", "cli",
+    "solvers", "studies", "output", "cli",
 )  # fmt: skip
 KERNELS = ("solvers.kernels", *(f"solvers.{wing}.kernels" for wing in WINGS))
 ONLY_IN = {  # package -> the modules and rooms that may import it

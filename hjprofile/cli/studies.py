@@ -96,7 +96,8 @@ def stability(case: CasePath, /, *, out: Out = None, json: Json = False) -> None
         low, high = measured_limit(trials, method)
         limits[method] = {"holds_at": low, "fails_at": high, "theory": theory}
         limit = f"{low:.4g} to {high:.4g}" if high < float("inf") else f"all up to {low:.4g}"
-        lines.append(f"  {method:22} {limit:18} ({theory:.4g})")
+        proved = f"{theory:.4g}" if theory == theory else "none"
+        lines.append(f"  {method:22} {limit:18} ({proved})")
     files = folder.write({"stability.csv": to_csv(Trial._fields[:6], [t[:6] for t in trials])})
     picture = write_picture(folder, "stability.png", stability_picture, trials)
     say(json, "\n".join([*lines, _written(folder, files, picture)]))

@@ -74,9 +74,7 @@ def _check_zero(f0: float) -> None:
     if np.isfinite(f0) and abs(f0) <= 1e-12:
         return
     because = (
-        "at the neutral slope grains are neither eroded nor deposited"
-        if np.isfinite(f0)
-        else "f must be a number there"
+        "at the neutral slope there is no erosion and no deposition" if np.isfinite(f0) else "f must be a number there"
     )
     raise InputError(
         f"the law is not an erosion function: f(0) = 0 fails at q = 0, where f = {f0:.6g}; {because}", NO_LAW

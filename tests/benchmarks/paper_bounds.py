@@ -24,7 +24,9 @@ def crest(axes):
     for number, colour in zip((3, 2, 1), (GREEN, ORANGE, BLUE), strict=True):
         t, q = np.array([(k.time, k.q_right) for k in run.kinks if k.kink == number]).T
         axes.plot(t, q, color=colour, lw=1.6, label=f"crest of kink {number}")
-    axes.set(xlabel="t", ylabel="q right of the kink", title="three kinks become one", ylim=(0, 1.1 * bound))
+    axes.set(
+        xlabel="supplied mass t", ylabel="q right of the kink", title="three kinks become one", ylim=(0, 1.1 * bound)
+    )
     axes.legend(fontsize=8, frameon=False, loc="center right")
 
 
@@ -36,7 +38,7 @@ def decay(axes):
     rows = (
         ("‖q‖₁", run.x_cell[1] - run.x_cell[0], np.abs(q).sum(axis=1), BLUE),
         ("sup q", 1.0, q.max(axis=1), ORANGE),
-        ("-inf q", 1.0, -q.min(axis=1), GREEN),
+        ("|inf q|", 1.0, -q.min(axis=1), GREEN),
         ("TV(q)", 1.0, np.abs(np.diff(q, axis=1, prepend=0.0)).sum(axis=1), GREY),
     )
     for name, factor, values, colour in rows:
@@ -44,7 +46,7 @@ def decay(axes):
         axes.semilogy(run.time, shown, color=colour, lw=1.6, label=name)
     flat = float(run.time[np.argmax(np.abs(q).max(axis=1) < 1e-6)])
     axes.axvline(flat, color="0.6", lw=0.8, ls=":")
-    axes.set(xlabel="t", title=f"the hillslope, flat at t = {flat:.2f}", ylim=(1e-3, 40))
+    axes.set(xlabel="supplied mass t", title=f"the hillslope, neutral at t = {flat:.2f}", ylim=(1e-3, 40))
     axes.legend(fontsize=8, frameon=False, loc="lower left")
     return flat
 

@@ -20,6 +20,7 @@ from grid_methods import TWINS, with_fault
 import hjprofile
 from hjprofile.cli import run_command
 from hjprofile.cli.common import Progress, app
+from hjprofile.cli.studies import _point
 from hjprofile.output.checkpoint import NAME, Checkpoint
 from hjprofile.output.store import load_run
 from hjprofile.problem.case import load_case
@@ -27,6 +28,7 @@ from hjprofile.problem.case_files import shipped_cases
 from hjprofile.solvers.solve import solve_case
 from hjprofile.studies import dependence
 from hjprofile.studies import stability as study
+from hjprofile.studies.chart import Point, Reference
 
 SCENE = {
     "title": "Zwei Knicke",
@@ -466,3 +468,10 @@ def test_the_helper_does_not_outlive_the_run(folder, how):
         time.sleep(0.1)
     assert not any(map(alive, helpers))
     assert not list(folder.rglob("summary.json"))
+
+
+def test_an_error_equal_to_that_of_the_reference_is_marked():
+    """Errors of numpy compare to numpy's booleans."""
+    point = Point("case", "fronts", 100, np.float64(1e-12), np.float64(2e-9), 0.1, 10)
+    reference = Reference("characteristics", np.float64(1e-12), np.float64(1e-10), lambda grid: None)
+    assert "  2.0e-09 of q  <1.0e-12 of u" in _point(point, reference).replace("100 ", "")

@@ -33,7 +33,7 @@ def solved(name="bump"):
 def test_every_saved_time_is_shown(name):
     """In axes that stay where they are: the areas drawn are those of that time, kinks and trails reach until then."""
     run = solved(name)
-    figure, moving, show = film._scene(run)
+    figure, moving, show = film._animated_figure(run)
     figure.canvas.draw()
     limits = [(axes.get_xlim(), axes.get_ylim()) for axes in figure.axes]
     top, bottom = figure.axes

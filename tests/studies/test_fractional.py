@@ -98,7 +98,9 @@ def test_what_follows_the_invariant_refuses(method, tmp_path):
         "domain": {"left": -5.0, "cells": 100}, "time": {"end": 1.0},
         "solver": {"method": method, "refresh": 0.1} | ({"tolerance": 1e-3} if method == "auto" else {}),
     }  # fmt: skip
-    with pytest.raises(hj.InputError, match=rf"a.toml: \[solver\] the method {method} does not take a factor"):
+    with pytest.raises(
+        hj.InputError, match=rf"a.toml: \[solver\] the method {method} does not take a refresh interval"
+    ):
         check_case(parse_case(content, "a", "a.toml", tmp_path))
     del content["solver"]["refresh"]
     content["coefficient"] = {"kind": "expression", "expression": "1 - x"}

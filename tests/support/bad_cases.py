@@ -156,7 +156,7 @@ BAD |= {
     "not 0 at 0": (
         {"erosion": {"law": "expression", "expression": "q/(1+q) + 0.1"}},
         "erosion",
-        ["f(0) = 0 fails at q = 0, where f = 0.1; at the neutral slope grains are neither eroded nor deposited"],
+        ["f(0) = 0 fails at q = 0, where f = 0.1; at the neutral slope there is no erosion and no deposition"],
     ),
     "a power of another language": (
         {"erosion": {"law": "expression", "expression": "q^2"}},

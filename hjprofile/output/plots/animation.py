@@ -62,7 +62,7 @@ def frames(run: Run) -> Iterator[Array]:
 
     Draw the artists that do not move only once.
     """
-    figure, moving, show = _scene(run)
+    figure, moving, show = _animated_figure(run)
     for artist in moving:
         artist.set_animated(True)
     canvas: Any = figure.canvas
@@ -78,7 +78,7 @@ def frames(run: Run) -> Iterator[Array]:
 
 
 @styled
-def _scene(run: Run) -> tuple[Figure, list[Any], Callable[[int], None]]:
+def _animated_figure(run: Run) -> tuple[Figure, list[Any], Callable[[int], None]]:
     """Return the figure, its moving artists in drawing order, and the function that shows a saved time."""
     x, u, x_label, u_label = style.axes_units(run, run.units)
     unit = [f"areas and supplied volume per width in {style.SURVEY}²"] if run.units else []

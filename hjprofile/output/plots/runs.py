@@ -140,7 +140,7 @@ def draw_diagram(run: Run) -> Figure:
     lost = [path for number, path in kink_paths(run).items() if number in unresolved(run)]
     if lost:
         ends = scale(np.array([path.x[-1] for path in lost])), [unit * path.time[-1] for path in lost]
-        axes.plot(*ends, **_UNRESOLVED, zorder=3)
+        axes.plot(*ends, **_UNRESOLVED, clip_on=False, zorder=3)
     style.legend_above(figure, keys, rows)
     axes.set_ylabel(t_label)
     axes.yaxis.set_major_formatter(numbers)
@@ -181,13 +181,13 @@ def _norm_of_q(run: Run) -> TwoSlopeNorm:
     if run.vertical_steps:  # q is unbounded at a jump of the profile
         high = max(float(np.quantile(run.q, 0.98)), 0.0)
     wide = max(-low, high)
-    if wide < 1e-9:  # a critical slope: rounding must not look like relief
+    if wide < 1e-9:  # a neutral slope: rounding must not look like relief
         wide = 1.0
     return TwoSlopeNorm(0.0, min(low, -0.05 * wide), max(high, 0.05 * wide))
 
 
 def _ends_of_q(run: Run, norm: TwoSlopeNorm) -> tuple[float, float]:
-    """Return the range of the colour scale that a run needs: both sides of the critical slope, or one."""
+    """Return the range of the colour scale that a run needs: both signs of q, or one."""
     slight = 1e-3 * float(np.abs(run.q).max())
     steep, gentle = run.q.max() > slight, run.q.min() < -slight
     return (

@@ -149,7 +149,7 @@ def draw_stability(trials: Sequence[Trial]) -> Figure:
     key.axis("off")
     names = {
         HOLDS: "holds",
-        LOSES: "loses a bound",
+        LOSES: "violates a bound",
         OSCILLATES: "oscillates",
         FAILS: "fails: q reaches -1, or no progress",
     }
