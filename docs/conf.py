@@ -42,21 +42,29 @@ _SECTIONS = {  # number -> page and anchor; sections are numbered through these 
 }
 
 
+_LISTS = {"Attributes:": "", "Args:": "**Arguments**", "Returns:": "**Returns**", "Raises:": "**Raises**"}
+
+
 def _as_written(app, what, name, obj, options, lines):
     """Docstrings are plain text: |u| is a modulus and * a product, no markup. Code in backticks is left alone.
 
-    Attributes become a list, and sections of the theory links.
+    Attributes, arguments and exceptions become lists, and sections links.
     """
-    listing = False
-    for i, line in enumerate(lines):
+    listing, written = False, []
+    for line in lines:
         parts = re.split(r"(`[^`]*`)", line)
         parts[::2] = [re.sub(r"([*|])", r"\\\1", part) for part in parts[::2]]
-        line = re.sub(r"§(\d+)[a-h]?(-[a-h])?", _link, "".join(parts))
+        text = re.sub(r"§(\d+)[a-h]?(-[a-h])?", _link, "".join(parts))
+        if line in _LISTS:
+            written += [_LISTS[line], ""]
+            listing = True
+            continue
+        listing = listing and bool(line)
         if listing:
-            line = re.sub(r"^    (\w[\w, ]*): ", r"- **\1**: ", line)
-            line = re.sub(r"^ {8}", "  ", line)
-        lines[i] = "" if line == "Attributes:" else line
-        listing = line == "Attributes:" or (listing and bool(line))
+            text = re.sub(r"^    (\w[\w, ]*): ", r"- **\1**: ", text)
+            text = re.sub(r"^ {8}", "  ", text) if text.startswith(" " * 8) else re.sub(r"^ {4}", "", text)
+        written.append(text)
+    lines[:] = written
 
 
 def _link(section):

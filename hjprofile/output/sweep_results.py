@@ -76,9 +76,8 @@ def sweep(
     Args:
         case: the path of a case file, or the name of a case that comes with the package.
         vary: dotted key -> values, as in {"erosion.m": [0.5, 1, 2], "time.end": [1.0, 3.0]}.
-            executor: an executor of `concurrent.futures`, or None for one member after the other; the results are the
-            same to
-            the last bit.
+        executor: an executor of `concurrent.futures`, or None for one member after the other; the results are the same
+            to the last bit.
         folder: the folder for the results, or None.
         resume: True to use the members that are stored in the folder.
         progress: a function that receives the finished fraction, from 0 to 1.

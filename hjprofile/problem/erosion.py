@@ -59,7 +59,7 @@ class ErosionLaw:
         table: the `[erosion]` table of a case file that makes this law again.
         closed_inverse: f⁻¹ if it is known in closed form, else None.
         eta0: η0 = lim f' as q -> ∞: 0 for the laws of (1.4), positive for those of linear growth.
-            content: a hash of the file that holds f; "" if `table` holds everything; None for a function that is in no
+        content: a hash of the file that holds f; "" if `table` holds everything; None for a function that is in no
             file.
 
     >>> import hjprofile as hj

@@ -25,8 +25,8 @@ class Grid:
     Attributes:
         left: the left end, in exchange lengths, less than `right`.
         cells: the number of cells, 4 or more.
-            right: the right end, in exchange lengths; 0, the crest, on the half line, the end of the window on the
-            whole line.
+        right: the right end, in exchange lengths; 0, the crest, on the half line, the end of the window on the whole
+            line.
 
     Raises:
         InputError: for other ends or numbers of cells.

@@ -303,9 +303,8 @@ def kinks(positions: Sequence[float], amplitudes: Sequence[float]) -> Profile:
 
     Args:
         positions: x of the kinks, shape (n,), in exchange lengths, increasing, at most 0 on the half line.
-            amplitudes: q right of each kink, shape (n,), in neutral slopes. Each exceeds q left of its kink, which
-            depends on
-            the law and is checked when a run begins. q = 0 left of the first kink.
+        amplitudes: q right of each kink, shape (n,), in neutral slopes. Each exceeds q left of its kink, which depends
+            on the law and is checked when a run begins. q = 0 left of the first kink.
 
     Returns:
         The profile.
@@ -348,9 +347,8 @@ def points(x: Sequence[float], q: Sequence[float]) -> Profile:
     """Return a piecewise linear profile of q, with q = 0 outside.
 
     Args:
-            x: positions, shape (n,), n >= 2, in exchange lengths, not decreasing, at most 0 on the half line. A
-            position that
-            is given twice is a jump.
+        x: positions, shape (n,), n >= 2, in exchange lengths, not decreasing, at most 0 on the half line. A position
+            that is given twice is a jump.
         q: u_x - 1 at these positions, shape (n,), in neutral slopes, above -1.
 
     Returns:
@@ -397,12 +395,10 @@ def steady(flux: float, kink: float | None = None) -> Profile:
     """Return the steady slope of a given erosion flux, right of a kink if one is given (§5e-f).
 
     Args:
-            flux: F = K f(q), dimensionless, positive and below the supremum of f (1 for `rational`), which is checked
-            when a
-            run begins.
-            kink: x of the kink, in exchange lengths, negative; None for a slope that fills the grid. Then the flux
-            enters at
-            the left end, and a grid must be given.
+        flux: F = K f(q), dimensionless, positive and below the supremum of f (1 for `rational`), which is checked when
+            a run begins.
+        kink: x of the kink, in exchange lengths, negative; None for a slope that fills the grid. Then the flux enters
+            at the left end, and a grid must be given.
 
     Returns:
         The profile.
@@ -421,9 +417,9 @@ def profile(u: Callable[[Any], Any]) -> Profile:
     """Return a profile from a Python function.
 
     Args:
-            u: the height, in exchange lengths times the neutral slope, at x <= 0 in exchange lengths, of arrays or of
-            single
-            numbers (slower). u must rise, and have the neutral slope (u_x = 1) at and below the left end of the grid.
+        u: the height, in exchange lengths times the neutral slope, at x <= 0 in exchange lengths, of arrays or of
+            single numbers (slower). u must rise, and have the neutral slope (u_x = 1) at and below the left end of the
+            grid.
 
     Returns:
         The profile. Its heights are checked when a run begins, which raises InputError if u does not rise.

@@ -43,18 +43,16 @@ def survey(
         critical_slope: the neutral slope, height over length, positive.
         length: the exchange length, in the unit of the survey, positive. x is divided by it, heights by it and by
             `critical_slope`.
-            repair: "isotonic" replaces a survey that falls by the nearest heights (least squares) that rise everywhere
-            by at
-            least 0.05 of the critical slope; None rejects such a survey.
+        repair: "isotonic" replaces a survey that falls by the nearest heights (least squares) that rise everywhere by
+            at least 0.05 of the critical slope; None rejects such a survey.
         base: the folder to which `file` is relative.
 
     Returns:
         The profile, with `units` for the way back to the survey.
 
     Raises:
-            InputError: if the survey falls and is not repaired, if a repair would move a height by more than 0.1 of the
-            relief,
-            if the crest is at the left, or if the file holds no survey.
+        InputError: if the survey falls and is not repaired, if a repair would move a height by more than 0.1 of the
+            relief, if the crest is at the left, or if the file holds no survey.
 
     >>> import hjprofile as hj
     >>> file = hj.shipped_cases()["hillslope"].parent / "hillslope.csv"
