@@ -15,7 +15,7 @@ mutant is equivalent: it computes the same. Equivalent mutants are listed with a
 the text of their lines, and are not drawn.
 
 Run the tests once before, so that compiled loops are in the caches beside their sources. They are copied. If a loop is
-changed, only the loops of modules that import its module are compiled again.
+changed, only the loops that contain it are compiled again.
 """
 
 from __future__ import annotations
@@ -275,27 +275,42 @@ def environment(folder: Path) -> dict[str, str]:
     return kept | {"PYTHONPATH": str(folder), "TMPDIR": str(folder / "tmp")}
 
 
-def keep_what_is_as_it_was(folder: Path, path: str, before: bytes) -> None:
-    """Mark compiled loops of modules that do not import a changed kernel as compiled from the present sources.
+def reaching(line: int, path: str) -> set[str]:
+    """The loops that contain what a line of a kernel defines, as `module.name`: definitions that name one another."""
+    names: dict[str, set[str]] = {}
+    found = set[str]()
+    for kernel in ROOT.glob("hjprofile/**/kernels/*.py"):
+        body = ast.parse(kernel.read_text(encoding="utf-8")).body
+        origin = {
+            alias.name: f"{(node.module or '').rpartition('.')[2]}.{alias.name}"
+            for node in body
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+        }
+        for node in body:
+            inside = [n for n in ast.walk(node) if isinstance(n, ast.Name)]
+            named = isinstance(node, ast.FunctionDef | ast.ClassDef)
+            defined = [node.name] if named else [n.id for n in inside if isinstance(n.ctx, ast.Store)]
+            for name in (f"{kernel.stem}.{name}" for name in defined):
+                names.setdefault(name, set()).update(origin.get(n.id, f"{kernel.stem}.{n.id}") for n in inside)
+                if kernel == ROOT / path and node.lineno <= line <= (node.end_lineno or 0):
+                    found.add(name)
+    while more := {name for name, inside in names.items() if inside & found} - found:
+        found |= more
+    return found
+
+
+def keep_what_is_as_it_was(folder: Path, mutant: Mutant, before: bytes) -> None:
+    """Mark compiled loops that do not contain what is changed as compiled from the present sources.
 
     The package compiles all of them again after any edit, which is safe and takes minutes.
     """
     now = digest_of_sources(folder)
-    files = {kernel: kernel.read_text(encoding="utf-8") for kernel in ROOT.glob("hjprofile/**/kernels/*.py")}
-    imports = {
-        kernel.relative_to(ROOT).as_posix(): {
-            f"{name.replace('.', '/')}.py" for name in re.findall(r"^from (hjprofile\.\S+) import", text, flags=re.M)
-        }
-        for kernel, text in files.items()
-    }
-    affected = {path}
-    while more := {kernel for kernel, names in imports.items() if names & affected} - affected:
-        affected |= more
+    affected = reaching(mutant.line, mutant.path)
     for compiled in folder.glob("hjprofile/**/*.kernel"):
-        module = compiled.parent.parent / f"{compiled.name.split('.')[0]}.py"
         data = compiled.read_bytes()
         valid = data[:32] == hashlib.sha256(before + data[32:]).digest()
-        if valid and module.relative_to(folder).as_posix() not in affected:
+        if valid and ".".join(compiled.name.split(".")[:2]) not in affected:
             compiled.unlink()  # it may be a link
             compiled.write_bytes(hashlib.sha256(now + data[32:]).digest() + data[32:])
 
@@ -331,7 +346,7 @@ def verdict(mutant: Mutant | None, near: bool = False) -> str:
         before = digest_of_sources(folder) if "/kernels/" in mutant.path else b""
         (folder / mutant.path).write_text(changed(mutant), encoding="utf-8")
         if before and Path(mutant.path).stem not in ("__init__", "disk_cache"):
-            keep_what_is_as_it_was(folder, mutant.path, before)
+            keep_what_is_as_it_was(folder, mutant, before)
         first, rest = tests_of(mutant.path)
         killer = failed_test(folder, first, FIRST_LIMIT)
         return killer if killer or near else failed_test(folder, rest, REST_LIMIT)

@@ -15,6 +15,8 @@ from hjprofile.solvers.front_tracking import begin
 from hjprofile.solvers.fronts.front_data import FAN, cut_into_fronts
 from hjprofile.solvers.fronts.front_tracker import SUBLINEAR, FrontTracker
 from hjprofile.solvers.fronts.kernels.exact_fronts import narrowed
+from hjprofile.solvers.fronts.kernels.front_state import Sides
+from hjprofile.solvers.fronts.kernels.moving_fronts import crossing_error
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels.law import law_decay, law_q_f
 
@@ -357,3 +359,43 @@ def test_volume_of_a_piece_of_any_length(law, length):
     exact = 0.7 * (length + np.expm1(-length))
     rounding = 1e-14 * length
     assert begin(problem, -2.0 * length, 4).tracker.volume() == pytest.approx(exact, rel=1e-9, abs=rounding)
+
+
+@pytest.mark.parametrize("width", [1e-3, 1e-7])
+def test_a_fall_that_a_shock_soon_swallows_takes_few_fronts(width):
+    """A narrow pulse keeps about the least number of fronts for its fall, and the smooth rest has those asked for."""
+    x = np.linspace(-9.0, -6.0, 60)
+    q = 0.6 * np.exp(-4.0 * (x + 7.5) ** 2)
+    q[[0, -1]] = 0.0
+    pulse = hj.points([*x, -4.0 - width, -4.0 - width, -4.0, -4.0], [*q, 0.0, 3.0, 3.0, 0.0])
+    data, _ = cut_into_fronts(hj.Problem(hj.rational(), pulse, end=1.0), -10.0, 200, SUBLINEAR)
+    in_pulse = np.count_nonzero(np.abs(data.x + 4.0) <= 2 * width)
+    assert in_pulse <= 25 and 175 <= data.x.size - in_pulse <= 205
+
+
+def test_a_jump_up_at_the_foot_is_a_kink_from_the_start():
+    """The leftmost break of a profile, where its slope departs from the critical one, is a kink like any other."""
+    run = hj.track_fronts(hj.Problem(hj.rational(), hj.steps([-4.0, -2.0], [0.5]), end=0.1), hj.Grid(-6.0, 60))
+    assert [k.x for k in run.kinks_at(0)] == [-4.0] and not run.events
+
+
+def test_the_error_of_fronts_that_have_crossed_counts_every_pair_from_either_side():
+    """Three fronts in reverse order, with K |f| = 1 left of them: jumps times overlaps, and mirror images err alike."""
+    law, jump, x = law_table(hj.rational(), -0.5, 1.0), np.array([0.1, 0.2, 0.4]), np.array([-0.1, -0.2, -0.4])
+    sides = Sides(np.ones(3), np.ones(3), np.zeros(3), np.zeros(3))
+    error = crossing_error(x, jump, 3, sides, np.ones(3), law)
+    pairs = sum(jump[i] * jump[j] * (x[i] - x[j]) for i in range(3) for j in range(i + 1, 3))
+    assert 2.0 * pairs <= error <= 4.0 * pairs
+    mirrored = crossing_error(-0.5 - x[::-1], jump[::-1].copy(), 3, sides, np.ones(3), law)
+    assert mirrored == pytest.approx(error, rel=1e-14)
+
+
+def test_fronts_give_up_for_short_steps_and_not_for_many():
+    """Twenty thousand steps of 1/20000 of the way arrive; ten thousand that are a billionth of it do not."""
+    problem = hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0)
+    for longest, arrives, most in ((5e-5, True, 21_000), (1e-9, False, 10_001)):
+        data, table = cut_into_fronts(problem, -4.0, 40, SUBLINEAR)
+        tracker = FrontTracker(data, table, exact=False)
+        tracker.control = tracker.control._replace(longest=longest, step=np.array([longest, 0.0]))
+        tracker.advance(1.0)
+        assert tracker.arrived == arrives and 10_000 <= tracker.steps <= most

@@ -17,12 +17,14 @@ from oracles import SteepPair, bump_blow_up, isotonic_profile, longest_step
 
 import hjprofile as hj
 from hjprofile.problem.case import parse_case
+from hjprofile.solvers.fronts.front_data import cut_into_fronts
 from hjprofile.solvers.grids.grid_law import grid_law
 from hjprofile.solvers.kernels.journal import EVENTS
 from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.vertical_steps.kernels import steps as kernels
 from hjprofile.solvers.vertical_steps.kernels import telescoping
-from hjprofile.solvers.vertical_steps.step_fronts import step_law
+from hjprofile.solvers.vertical_steps.kernels.step_transitions import release
+from hjprofile.solvers.vertical_steps.step_fronts import LINEAR, StepTracker, step_law
 from hjprofile.solvers.vertical_steps.step_monitor import Layer, StepMonitor, _fit, find_steps
 
 LAW = hj.erosion_law(lambda q: q + q / (1 + q), derivative=lambda q: 1 + 1 / (1 + q) ** 2, growth="linear")
@@ -502,3 +504,19 @@ def test_fronts_date_births_and_blow_ups_of_smooth_data():
     dates = [(e.event, e.time) for e in run.events if e.event != "merge"]
     assert [name for name, _ in dates] == ["birth", "birth", "blow-up"] and not run.cautions
     assert [t for _, t in dates] == pytest.approx([0.101, 0.187, 0.349], abs=5e-3)  # the first two that meet
+
+
+def test_a_step_that_lets_a_front_go_leaves_the_others_as_they_are():
+    """What is told of the fronts right of a step, after a weak front has left it, is what a new sweep finds."""
+    data, law = cut_into_fronts(hj.Problem(LAW, BUMP, end=1.0), -4.0, 12, LINEAR)
+    tracker = StepTracker(data, law, exact=False)
+    step = tracker.n // 2
+    tracker.is_step[step], tracker.y[step] = True, 0.5
+    sides = tracker._sweep()
+    heights, n = sides.height[: tracker.n].copy(), tracker.n + 1
+    release(tracker.fronts, n - 1, step, 1e-3, law, sides)
+    told, tracker.n = [side[step + 2 : n].copy() for side in sides], n
+    found = tracker._sweep()
+    assert found.height[step] == pytest.approx(heights[step], abs=1e-12) and heights[step] > 0.3
+    for before, after in zip(told, found, strict=True):
+        assert before == pytest.approx(after[step + 2 : n], rel=1e-9, abs=1e-9)
