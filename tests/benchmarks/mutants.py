@@ -203,32 +203,43 @@ class Sites(ast.NodeVisitor):
 
 
 def equivalent() -> set[tuple[str, str, str]]:
-    """Path, line before and line after of the mutants that are known to compute the same."""
+    """Place, line before and line after of the mutants that are known to compute the same.
+
+    A place is a module, or a function of it, as `path::name`, where others have the same line.
+    """
     rows = re.findall(r"^\| `(.*?)` \| `(.*?)` \| `(.*?)` \|", EQUIVALENT.read_text(encoding="utf-8"), flags=re.M)
     return {(path, before.replace("\\|", "|"), after.replace("\\|", "|")) for path, before, after in rows}
 
 
 def drawn(only: list[str], seed: int) -> Iterator[Mutant]:
     """The mutants in random order: first a place, each as likely, then one of the changes there."""
-    places: dict[tuple[str, int, int], list[Mutant]] = {}
+    sites: dict[tuple[str, int, int], list[Mutant]] = {}
     for scope in only:
         top = ROOT / scope
         for path in [top] if top.is_file() else sorted(top.rglob("*.py")):
             for mutant in Sites(path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8")).found:
-                places.setdefault(mutant[0:1] + mutant[2:4], []).append(mutant)
+                sites.setdefault(mutant[0:1] + mutant[2:4], []).append(mutant)
     rng = random.Random(seed)
-    order = sorted(places)
+    order = sorted(sites)
     rng.shuffle(order)
     known = equivalent()
-    for place in order:
-        mutant = rng.choice(places[place])
+    for site in order:
+        mutant = rng.choice(sites[site])
         before, after = mutant.lines((ROOT / mutant.path).read_text(encoding="utf-8"))
         try:
             ast.parse(changed(mutant))
         except SyntaxError:
             continue
-        if (mutant.path, before, after) not in known:
+        places = {place for place, *lines in known if lines == [before, after]}
+        if not places & set(places_of(mutant) if places else ()):
             yield mutant
+
+
+def places_of(mutant: Mutant) -> list[str]:
+    """The module of a mutant, and the functions that it is in."""
+    tree = ast.parse((ROOT / mutant.path).read_text(encoding="utf-8"))
+    around = [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef) and n.lineno <= mutant.line]
+    return [mutant.path, *(f"{mutant.path}::{n.name}" for n in around if mutant.line <= (n.end_lineno or 0))]
 
 
 def changed(mutant: Mutant) -> str:

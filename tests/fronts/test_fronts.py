@@ -7,14 +7,15 @@ import oracles
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.polynomial import Polynomial
 
 import hjprofile as hj
 from hjprofile.problem.case_files import shipped_cases
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink
 from hjprofile.solvers.front_tracking import begin
-from hjprofile.solvers.fronts.front_data import FAN, cut_into_fronts
+from hjprofile.solvers.fronts.front_data import FAN, FrontData, cut_into_fronts
 from hjprofile.solvers.fronts.front_tracker import SUBLINEAR, FrontTracker
-from hjprofile.solvers.fronts.kernels.exact_fronts import narrowed
+from hjprofile.solvers.fronts.kernels.exact_fronts import first_crossing, narrowed
 from hjprofile.solvers.fronts.kernels.front_state import Sides
 from hjprofile.solvers.fronts.kernels.moving_fronts import crossing_error
 from hjprofile.solvers.invariant import law_table
@@ -399,3 +400,26 @@ def test_fronts_give_up_for_short_steps_and_not_for_many():
         tracker.control = tracker.control._replace(longest=longest, step=np.array([longest, 0.0]))
         tracker.advance(1.0)
         assert tracker.arrived == arrives and 10_000 <= tracker.steps <= most
+
+
+@pytest.mark.parametrize("root", [0.03, 0.4, 0.97])
+@pytest.mark.parametrize("pair", [0, 1, 2])
+def test_the_first_crossing_of_cubic_paths_is_exact(root, pair):
+    """Of three fronts two meet, or the last leaves, at the given part of a step; another pair meets a little later."""
+    gaps = [Polynomial([1.0, 0.2, -0.1, 0.05])] * 3
+    gaps[pair] = Polynomial([root, -1.0]) * Polynomial([1.0, 0.5, 0.8])
+    gaps[pair - 1] = Polynomial([1.01 * root, -1.0]) * Polynomial([1.0, -0.3, 0.2])
+    before, after = (-np.cumsum([gap(s) for gap in gaps[::-1]])[::-1] for s in (0.0, 1.0))
+    rates, dt = np.zeros((13, 3)), 0.7
+    rates[0], rates[12] = (-np.cumsum([gap.deriv()(s) for gap in gaps[::-1]])[::-1] / dt for s in (0.0, 1.0))
+    assert first_crossing(before, after, rates, dt, 3) == pytest.approx(root, abs=2e-9)
+
+
+@pytest.mark.parametrize("labels", [(1, 0), (0, 1), (0, 0)])
+def test_between_fronts_far_apart_the_piece_is_read(labels):
+    """Beside a strong front that is no kink, be it the left or the right one, W and K are those of the piece."""
+    two, x = np.array([-4.0, -2.0]), np.linspace(-3.9, -2.1, 19)
+    data = FrontData(two, np.array([0.8, -0.3]), np.array(labels), np.ones(2, dtype=bool), 1e-3, 1.0, 0.5, 1.0, 0.6)
+    W, K = FrontTracker(data, law_table(hj.rational(), -0.5, 1.0), exact=False).read(x)
+    q = 0.8 * np.exp(-4.0 - x)
+    assert np.abs(W - (0.8 - q)).max() <= 1e-14 and np.ptp(np.log(K / (1.0 + q))) <= 1e-14

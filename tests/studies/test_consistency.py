@@ -167,6 +167,24 @@ def test_sound_records_of_a_high_order_method_with_a_refresh_interval_pass():
     assert [c.name for c in records(run, problem, 1.0, "") if not c.passes] == []
 
 
+def test_a_K_that_is_wrong_when_it_is_new_is_found():
+    """K is new at 0, 1 and 2 of the saved times 0, 0.5, 1, 1.5 and 2, and only there it is that of the slopes."""
+    problem = replace(LEAVING[0], snapshots=5)
+    run = hj.solve_hj(problem, hj.Grid(-2.0, 400), "godunov", refresh=1.0)
+    for i, new in enumerate((True, False, True, False, True)):
+        K = run.K.copy()
+        K[i, :-1] *= 1.001
+        failed = {c.name for c in records(replace(run, K=K), problem, 1.0, "") if not c.passes}
+        assert ("saved-K" in failed) == new
+
+
+def test_sound_records_far_from_the_crest_pass():
+    """u is -1000 at the left end, and its difference quotients have the rounding of that."""
+    problem, grid = hj.Problem(hj.rational(), hj.kinks([-900.0], [1.0]), end=0.5, snapshots=2), hj.Grid(-1000.0, 2000)
+    run = hj.solve_hj(problem, grid, "godunov")
+    assert [c.name for c in records(run, problem, None, "") if not c.passes] == []
+
+
 def test_a_wrong_outflow_is_found():
     problem, grid = LEAVING
     run = hj.solve_hj(problem, grid, "godunov")
