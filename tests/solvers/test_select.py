@@ -1,6 +1,7 @@
 """The least work that meets a tolerance: it is met, the estimate is honest, and the choice says why."""
 
 import json
+import time
 from collections import Counter
 
 import numpy as np
@@ -112,6 +113,12 @@ def test_what_is_chosen_and_why():
     for run, tolerance in ((coarse, 1e-2), (fine, 1e-9)):
         assert f"error of u about {run.error_estimate:.1g} (tolerance {tolerance:g})" in run.account
         assert run.case["solver"] == {"method": "auto", "cfl": 0.9, "tolerance": tolerance}
+
+
+def test_the_seconds_of_a_search_are_no_more_than_it_takes():
+    started = time.perf_counter()
+    run = hj.solve(hj.Problem(hj.rational(), hj.steady(0.4, -1.0), end=0.5, snapshots=2), 1e-6, hj.Grid(-2.0, 100))
+    assert 0.0 < run.wall_seconds <= time.perf_counter() - started
 
 
 def test_a_flux_that_enters_has_a_closed_form():

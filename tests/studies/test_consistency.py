@@ -304,6 +304,21 @@ def test_a_profile_that_the_grids_do_not_resolve_is_left_open():
     assert not _within(*apart[:3], 1.0, sound=False, resolved=True).passes
 
 
+def test_what_the_witness_says_of_its_error_is_allowed_for(monkeypatch):
+    """Characteristics that are off by as much as they estimate themselves do not turn it red."""
+    sound = consistency.solve_characteristics
+
+    def off(*arguments):
+        run = sound(*arguments)
+        return replace(run, u=run.u + 0.01 * (run.time[:, None] > 0.0), error_estimate=0.01)
+
+    monkeypatch.setattr(consistency, "solve_characteristics", off)
+    monkeypatch.setattr(consistency, "LEAST_CELLS", 200)
+    checks = check_consistency(replace(KINK[0], snapshots=2), replace(KINK[1], cells=200))
+    against = [c for c in checks if c.name.startswith("characteristics:")]
+    assert len(against) == 3 and all(c.passes and c.resolved for c in against)
+
+
 def test_compare_wants_nested_grids_and_common_times():
     problem = hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0, snapshots=3)
     a, b = hj.solve_hj(problem, hj.Grid(-5.0, 100)), hj.solve_hj(problem, hj.Grid(-5.0, 150))
