@@ -423,3 +423,37 @@ def test_between_fronts_far_apart_the_piece_is_read(labels):
     W, K = FrontTracker(data, law_table(hj.rational(), -0.5, 1.0), exact=False).read(x)
     q = 0.8 * np.exp(-4.0 - x)
     assert np.abs(W - (0.8 - q)).max() <= 1e-14 and np.ptp(np.log(K / (1.0 + q))) <= 1e-14
+
+
+def test_a_fan_down_to_the_critical_slope_is_that_of_one_down_to_nearly_it():
+    """Fronts of a fall to q = 0 are those of falls to ±1e-9: a characteristic of q = 0 moves as all beside it."""
+
+    def fan(foot):
+        profile = hj.steps([-2.0, -1.0, -0.5], [1.0, foot])
+        data, _ = cut_into_fronts(hj.Problem(hj.rational(), profile, end=0.5), -3.0, 200, SUBLINEAR)
+        return data.jump[data.x == -1.0]
+
+    assert fan(0.0).size > 50
+    for foot in (1e-9, -1e-9):
+        assert fan(foot) == pytest.approx(fan(0.0), abs=1e-8)
+
+
+@pytest.mark.parametrize("law", ["log", "power", "user"])
+@pytest.mark.parametrize("jump", [1e-6, -1e-6])
+def test_a_weak_front_moves_with_the_derivative_midway(law, jump):
+    """[f]/[q] of a jump of R by 1e-6 is f' between its sides, where a quotient of differences would be rounding."""
+    law = LAWS[law][0]
+    jumps = np.array([float(law.R(0.5) - law.R(0.0)), jump])
+    data = FrontData(np.array([-3.0, -2.9]), jumps, np.array([1, 0]), np.zeros(2, dtype=bool), 1.0, 1.0, 0.5,
+                     float(law.R(0.0)), 0.0)  # fmt: skip
+    tracker = FrontTracker(data, law_table(law, -0.5, 2.0), exact=True)
+    sides = tracker._sweep()
+    between = [law_q_f(side[1], tracker.medium.law)[0] for side in (sides.r_left, sides.r_right)]
+    assert sides.slope[1] == pytest.approx(float(law.derivative(np.mean(between))), rel=1e-9)
+
+
+@pytest.mark.parametrize("end", [0.01, 1.0, 100.0])
+def test_no_more_error_is_saved_at_first_than_later(end):
+    problem = hj.Problem(hj.rational(), T2, end=end)
+    control = FrontTracker(*cut_into_fronts(problem, -10.0, 40, SUBLINEAR), exact=False, end=end).control
+    assert 0.0 < control.step[1] <= control.saved < end
