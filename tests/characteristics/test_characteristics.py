@@ -393,3 +393,19 @@ def test_features_of_very_different_length(name):
     assert np.abs(run.u - finer.u).max() <= 2.0 * run.error_estimate <= 1e-6
     cells = hj.solve_conservative(problem, dataclasses.replace(grid, cells=8000))
     assert np.abs(cells.u[:, ::16] - finer.u).max() <= 2e-3 * max(1.0, np.ptp(finer.u[0] - finer.x))
+
+
+@pytest.mark.parametrize("error", [0.0, 1.0])
+def test_an_event_is_found_within_the_step(error):
+    """The root at 0.4 of the growth of a step is found, though the sign changes back at 1.6, beyond its end."""
+    problem = hj.Problem(hj.rational(), T2, end=0.5)
+    panels = cut_into_panels(problem, -11.0)
+    moving = MovingLabels(problem, panels, characteristics._table(problem, panels), 1e-12, np.inf)
+    end, _ = moving._try(0.01)
+
+    def least(panels):
+        part = panels.totals[0] / end.totals[0]
+        return (0.4 - part) * (1.6 - part)
+
+    part, there, _ = moving._root(0.01, end, least, (least(panels), least(end)), error)
+    assert there.totals[0] == pytest.approx(0.4 * end.totals[0], rel=1e-12) and 0.3 < part < 0.5
