@@ -163,6 +163,21 @@ def test_a_tolerance_that_nothing_meets_is_told(monkeypatch):
     assert "tolerance 1e-07 is not met" in run.status and "tolerance 1e-07 is not met" in run.warnings[0]
 
 
+def test_characteristics_are_given_as_long_as_fronts_would_take(monkeypatch):
+    """In counted seconds: fronts take ten times as long for a tenth of the tolerance, and meet it after that."""
+    patiences = []
+
+    def gives_up(problem, grid, tolerance, progress, patience):
+        patiences.append(patience)
+        raise Stopped(Stop(Reason.TOO_LONG, "it would take too long"))
+
+    monkeypatch.setattr(select, "solve_characteristics", gives_up)
+    for tolerance in (3e-7, 3e-8):
+        run = hj.solve(hj.Problem(hj.rational(), T2, end=0.5, snapshots=2), tolerance, hj.Grid(-10.0, 200))
+        assert run.method == "fronts" and run.error_estimate <= tolerance
+    assert len(patiences) == 2 and patiences[1] / patiences[0] == pytest.approx(10.0, rel=0.2)  # 9.2
+
+
 def test_the_left_end_is_found():
     """The support of bumps, to a tail below the tolerance; a function is looked at."""
     tanh = hj.profile(lambda x: x + 0.5 * np.tanh(x + 3.0))
