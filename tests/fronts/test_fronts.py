@@ -472,3 +472,11 @@ def test_the_sample_of_a_profile_follows_it_where_it_is_steep():
     data, _ = cut_into_fronts(hj.Problem(hj.rational(), bump, end=0.1), -10.0, 200, SUBLINEAR)
     v = np.log1p(data.sample.q)
     assert np.abs(np.diff(v)).max() <= np.ptp(v) / 16.0 and np.ptp(v) == pytest.approx(np.log(2.0), rel=1e-2)
+
+
+def test_K_is_of_second_order_between_fronts():
+    """T2 at t = 0.5, on nodes between the fronts, against characteristics."""
+    problem, grid, counts = hj.Problem(hj.rational(), T2, end=0.5, snapshots=2), hj.Grid(-10.0, 4000), [200, 400, 800]
+    exact = hj.solve_characteristics(problem, grid).K[-1]
+    off = [np.abs(np.log(hj.track_fronts(problem, grid, n).K[-1] / exact)).max() for n in counts]
+    assert 1.8 <= hj.observed_order(counts, off) <= 2.3 and off[-1] <= 1e-4

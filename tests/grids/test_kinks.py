@@ -147,6 +147,16 @@ def test_kinks_that_did_not_touch_have_not_merged():
     assert {p.end and p.end.event for p in (first, second)} == {None, "merge"}
 
 
+@pytest.mark.parametrize("apart", [0.03, 0.0])
+def test_kinks_that_did_not_close_in_merged_when_both_were_last_seen(apart):
+    """Three cells from each other, or at one place, they keep their distance until one is seen in the place of both."""
+    frames = [(0.01 * n, [sighting(-2.0 + 0.01 * n), sighting(-2.0 + 0.01 * n + apart)]) for n in range(30)]
+    frames += [(0.01 * n, [sighting(-2.0 + 0.01 * n + 0.5 * apart)]) for n in range(30, 60)]
+    first, second = link(frames, 0.01, lambda s: 1.0)
+    assert first.end is None and second.end is not None
+    assert (second.end.event, second.end.time) == ("merge", pytest.approx(0.29, abs=1e-9))
+
+
 def test_two_kinks_that_are_seen_too_far_back_keep_their_order():
     """From the 20th state on both are seen so far back that both are nearest to where the second is seen."""
     frames = []

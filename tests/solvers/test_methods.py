@@ -73,6 +73,14 @@ def test_rows_agree_with_each_other():
         METHODS["conservative"].name = "another"
 
 
+@pytest.mark.parametrize("method", ["godunov", "fronts", "characteristics", "auto"])
+def test_a_case_whose_profile_does_not_fit_its_grid_is_refused_by_every_method(method):
+    tolerance = {"solver.tolerance": 1e-3} if METHODS[method].needs_tolerance else {}
+    case = hj.load_case("travelling_kink", {"solver.method": method} | tolerance)
+    with pytest.raises(hj.InputError, match="the profile reaches left to x = -6 but the domain begins at left = -2"):
+        hj.solve_case(dataclasses.replace(case, grid=hj.Grid(-2.0, 100)))
+
+
 @pytest.mark.parametrize("method", ["characteristics", "auto"])
 def test_a_tolerance_may_be_the_least_and_the_largest_that_a_method_takes(method):
     least, most = METHODS[method].tolerance
