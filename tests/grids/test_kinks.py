@@ -226,3 +226,14 @@ def test_kinks_are_found_from_the_cells_of_the_grid_alone():
             assert np.array_equal(find_kinks(long[24:36], -1.0, 0.05, Rational()), alone)
         found += len(alone)
     assert found > 200
+
+
+@pytest.mark.parametrize("part", [0.0, 0.1, 0.5, 0.8])
+def test_a_kink_between_two_steep_lines_is_found_to_rounding(part):
+    """q falls by 0.05 and 0.075 a cell on either side of a jump from 0.2 to 1, which is anywhere in a cell."""
+    grid = hj.Grid(-1.0, 40)
+    place = grid.nodes[20] + part * grid.dx
+    x = grid.nodes - place
+    W = np.where(x < 0.0, 0.2 * x - x * x, x - 1.5 * x * x)
+    ((found, left, right, _),) = find_kinks(np.diff(W) / grid.dx, -1.0, grid.dx, Rational())
+    assert (found, left, right) == pytest.approx((place, 0.2, 1.0), abs=1e-10)
