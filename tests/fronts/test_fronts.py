@@ -480,3 +480,11 @@ def test_K_is_of_second_order_between_fronts():
     exact = hj.solve_characteristics(problem, grid).K[-1]
     off = [np.abs(np.log(hj.track_fronts(problem, grid, n).K[-1] / exact)).max() for n in counts]
     assert 1.8 <= hj.observed_order(counts, off) <= 2.3 and off[-1] <= 1e-4
+
+
+def test_a_height_added_to_a_profile_stays_added():
+    def run(height):
+        profile = hj.profile(lambda x: height + x + 0.5 * np.tanh(2.0 * (x + 3.0)))
+        return hj.track_fronts(hj.Problem(hj.rational(), profile, end=0.5, snapshots=2), hj.Grid(-14.0, 200), 100)
+
+    assert np.abs(run(7.0).u - run(0.0).u - 7.0).max() <= 1e-6
