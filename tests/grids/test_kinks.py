@@ -157,6 +157,17 @@ def test_kinks_that_did_not_close_in_merged_when_both_were_last_seen(apart):
     assert (second.end.event, second.end.time) == ("merge", pytest.approx(0.29, abs=1e-9))
 
 
+def test_kinks_that_are_seen_together_three_times_meet_by_their_speeds():
+    """Three places scatter too much for a straight line: from the last, 0.05 apart, they close in at 2 - 1."""
+    fast, slow = sighting(0.0)._replace(K=2.0), sighting(0.0)._replace(K=1.0)
+    places = [(-2.0, -1.93), (-1.97, -1.915), (-1.96, -1.91)]
+    frames = [(0.01 * n, [fast._replace(x=a), slow._replace(x=b)]) for n, (a, b) in enumerate(places)]
+    frames += [(0.01 * n, [slow._replace(x=-1.94 + 0.01 * n)]) for n in range(3, 40)]
+    first, second = link(frames, 0.01, lambda s: s.K)
+    assert first.end is None and second.end is not None
+    assert second.end[:2] == (pytest.approx(0.02 + 0.05, abs=1e-9), "merge")
+
+
 def test_two_kinks_that_are_seen_too_far_back_keep_their_order():
     """From the 20th state on both are seen so far back that both are nearest to where the second is seen."""
     frames = []
