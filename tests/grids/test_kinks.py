@@ -124,6 +124,13 @@ def test_flicker_is_no_kink():
     assert link(frames, 0.01, lambda s: 0.1) == []
 
 
+def test_a_kink_that_is_born_and_leaves_within_the_run_is_one():
+    """It is neither there at the start nor at the end, and none merges into it; but it has crossed forty cells."""
+    frames = [(0.01 * n, [sighting(-0.5 + 0.01 * n)] if 10 <= n < 50 else []) for n in range(90)]
+    (path,) = link(frames, 0.01, lambda s: 1.0)
+    assert path.born and path.number == 1 and (path.end.event, path.end.time) == ("exit", pytest.approx(0.5, abs=1e-9))
+
+
 def test_a_kink_that_was_out_of_sight_is_the_same_kink():
     """Seen again beyond where it was looked for, it has another number until both would go on with one sighting."""
     x = [-1.0 + 0.01 * n for n in range(40)]
