@@ -414,3 +414,10 @@ def test_an_event_is_found_within_the_step(error, tries):
     part, there, _ = moving._root(0.01, end, least, (least(panels), least(end)), error)
     assert there.totals[0] == pytest.approx(0.4 * end.totals[0], rel=1e-12) and 0.3 < part < 0.5
     assert 1e3 - moving.patience <= (1.0 + tries) * one * (1.0 + 1e-9)
+
+
+def test_a_slope_of_a_hundred_thousand_lengths():
+    """Places on its panels, which are as long, are known to their rounding only, and the label at the crest to that."""
+    problem = hj.Problem(hj.rational(), hj.bumps([1e-3], [-1e5], [50.0]), end=1.0, snapshots=2)
+    run = hj.solve_characteristics(problem, hj.Grid(-1.1e5, 200))
+    assert run.done and run.steps <= 20 and run.error_estimate <= 1e-12
