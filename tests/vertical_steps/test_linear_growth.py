@@ -21,7 +21,7 @@ import hjprofile as hj
 from hjprofile.problem.case import parse_case
 from hjprofile.solvers.fronts.front_data import cut_into_fronts
 from hjprofile.solvers.grids.grid_law import grid_law
-from hjprofile.solvers.kernels.journal import EVENTS
+from hjprofile.solvers.kernels.journal import EVENTS, OUTFLOW
 from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.vertical_steps.kernels import steps as kernels
 from hjprofile.solvers.vertical_steps.kernels import telescoping
@@ -549,3 +549,15 @@ def test_no_front_crosses_more_than_its_reach_in_a_step():
     tracker.control = StepControl(spacing=0.05, reach=2.0, quantum=1e-3, strong=1e-2)
     tracker.advance(0.35 / speed)
     assert tracker.arrived and 0.3 < tracker.x[0] + 3.0 < 0.4 and 4 <= tracker.steps <= 5
+
+
+@pytest.mark.parametrize("spacing", [0.2, 0.05, 0.01])
+def test_the_crest_is_lowered_by_what_flows_over_it_while_a_kink_leaves(spacing):
+    """In one step or in six: W at x = 0 falls by the outflow, though F jumps as the kink passes."""
+    data, law = cut_into_fronts(hj.Problem(LAW, hj.kinks([-1.0, -0.02], [3.0, 4.0]), end=1.0), -2.0, 12, LINEAR)
+    tracker = StepTracker(data, law, exact=False)
+    tracker.control = StepControl(spacing=spacing, reach=2.0, quantum=1e-3, strong=1e-2)
+    before = tracker.read(np.zeros(1))[0][0]
+    tracker.advance(0.05)
+    assert tracker.n == 1 and [e.event for e in tracker.events] == ["exit"]
+    assert tracker.totals[OUTFLOW] == pytest.approx(before - tracker.read(np.zeros(1))[0][0], abs=1e-8)
