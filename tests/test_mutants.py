@@ -59,6 +59,27 @@ def test_draws_are_those_of_the_seed_and_can_be_parsed(mutants):
         compile(mutants.changed(mutant), mutant.path, "exec")
 
 
+def test_each_equivalent_mutant_is_one_of_the_present_source(mutants):
+    """A row of the table names lines that are in its module, or in its function, and a change that is made of them."""
+    rows, found = mutants.equivalent(), set()
+    for path in {place.partition("::")[0] for place, _, _ in rows}:
+        source = (ROOT / path).read_text(encoding="utf-8")
+        for mutant in mutants.Sites(path, source).found:
+            before, after = mutant.lines(source)
+            if any(row[1:] == (before, after) for row in rows):
+                found |= {(place, before, after) for place in mutants.places_of(mutant)}
+    assert rows and not rows - found
+
+
+def test_loops_that_contain_a_line_are_those_that_name_its_function(mutants):
+    """A line of the decay under a law is in all that calls it, in any module, and in none that does not."""
+    kernel = "hjprofile/solvers/kernels/law.py"
+    lines = (ROOT / kernel).read_text(encoding="utf-8").splitlines()
+    found = mutants.reaching(next(i for i, line in enumerate(lines, 1) if line.startswith("def law_decay")), kernel)
+    assert {"law.law_decay", "law.start_pieces", "front_state.sweep", "front_state.speeds"} <= found
+    assert not found & {"law.polynomial", "law.law_f", "layer_pass.layer_pass", "steps.sweep"}
+
+
 @pytest.mark.parametrize(
     ("path", "folder", "first"),
     [

@@ -15,7 +15,7 @@ mutant is equivalent: it computes the same. Equivalent mutants are listed with a
 the text of their lines, and are not drawn.
 
 Run the tests once before, so that compiled loops are in the caches beside their sources. They are copied. If a loop is
-changed, only the loops of modules that import its module are compiled again.
+changed, only the loops that contain it are compiled again.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ ROOT = Path(__file__).resolve().parents[2]
 EQUIVALENT = Path(__file__).with_name("equivalent_mutants.md")
 SCOPE = ("hjprofile/solvers", "hjprofile/studies")
 COPIED = ("hjprofile", "tests", "docs", "cases", ".ci", "README.md", "pyproject.toml", ".gitignore")
-FIRST_LIMIT, REST_LIMIT = 900.0, 1500.0  # seconds; about three times what the tests take without a mutant
+FIRST_LIMIT, REST_LIMIT = 400.0, 1500.0  # seconds; some five times what the tests take without a mutant
 
 ARITHMETIC = {"+": "-", "-": "+", "*": "/", "/": "*", "//": "/", "**": "*", "%": "*"}
 COMPARISON = {"<": "<=", "<=": "<", ">": ">=", ">=": ">", "==": "!=", "!=": "=="}
@@ -203,32 +203,43 @@ class Sites(ast.NodeVisitor):
 
 
 def equivalent() -> set[tuple[str, str, str]]:
-    """Path, line before and line after of the mutants that are known to compute the same."""
+    """Place, line before and line after of the mutants that are known to compute the same.
+
+    A place is a module, or a function of it, as `path::name`, where others have the same line.
+    """
     rows = re.findall(r"^\| `(.*?)` \| `(.*?)` \| `(.*?)` \|", EQUIVALENT.read_text(encoding="utf-8"), flags=re.M)
     return {(path, before.replace("\\|", "|"), after.replace("\\|", "|")) for path, before, after in rows}
 
 
 def drawn(only: list[str], seed: int) -> Iterator[Mutant]:
     """The mutants in random order: first a place, each as likely, then one of the changes there."""
-    places: dict[tuple[str, int, int], list[Mutant]] = {}
+    sites: dict[tuple[str, int, int], list[Mutant]] = {}
     for scope in only:
         top = ROOT / scope
         for path in [top] if top.is_file() else sorted(top.rglob("*.py")):
             for mutant in Sites(path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8")).found:
-                places.setdefault(mutant[0:1] + mutant[2:4], []).append(mutant)
+                sites.setdefault(mutant[0:1] + mutant[2:4], []).append(mutant)
     rng = random.Random(seed)
-    order = sorted(places)
+    order = sorted(sites)
     rng.shuffle(order)
     known = equivalent()
-    for place in order:
-        mutant = rng.choice(places[place])
+    for site in order:
+        mutant = rng.choice(sites[site])
         before, after = mutant.lines((ROOT / mutant.path).read_text(encoding="utf-8"))
         try:
             ast.parse(changed(mutant))
         except SyntaxError:
             continue
-        if (mutant.path, before, after) not in known:
+        places = {place for place, *lines in known if lines == [before, after]}
+        if not places & set(places_of(mutant) if places else ()):
             yield mutant
+
+
+def places_of(mutant: Mutant) -> list[str]:
+    """The module of a mutant, and the functions that it is in."""
+    tree = ast.parse((ROOT / mutant.path).read_text(encoding="utf-8"))
+    around = [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef) and n.lineno <= mutant.line]
+    return [mutant.path, *(f"{mutant.path}::{n.name}" for n in around if mutant.line <= (n.end_lineno or 0))]
 
 
 def changed(mutant: Mutant) -> str:
@@ -275,27 +286,42 @@ def environment(folder: Path) -> dict[str, str]:
     return kept | {"PYTHONPATH": str(folder), "TMPDIR": str(folder / "tmp")}
 
 
-def keep_what_is_as_it_was(folder: Path, path: str, before: bytes) -> None:
-    """Mark compiled loops of modules that do not import a changed kernel as compiled from the present sources.
+def reaching(line: int, path: str) -> set[str]:
+    """The loops that contain what a line of a kernel defines, as `module.name`: definitions that name one another."""
+    names: dict[str, set[str]] = {}
+    found = set[str]()
+    for kernel in ROOT.glob("hjprofile/**/kernels/*.py"):
+        body = ast.parse(kernel.read_text(encoding="utf-8")).body
+        origin = {
+            alias.name: f"{(node.module or '').rpartition('.')[2]}.{alias.name}"
+            for node in body
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+        }
+        for node in body:
+            inside = [n for n in ast.walk(node) if isinstance(n, ast.Name)]
+            named = isinstance(node, ast.FunctionDef | ast.ClassDef)
+            defined = [node.name] if named else [n.id for n in inside if isinstance(n.ctx, ast.Store)]
+            for name in (f"{kernel.stem}.{name}" for name in defined):
+                names.setdefault(name, set()).update(origin.get(n.id, f"{kernel.stem}.{n.id}") for n in inside)
+                if kernel == ROOT / path and node.lineno <= line <= (node.end_lineno or 0):
+                    found.add(name)
+    while more := {name for name, inside in names.items() if inside & found} - found:
+        found |= more
+    return found
+
+
+def keep_what_is_as_it_was(folder: Path, mutant: Mutant, before: bytes) -> None:
+    """Mark compiled loops that do not contain what is changed as compiled from the present sources.
 
     The package compiles all of them again after any edit, which is safe and takes minutes.
     """
     now = digest_of_sources(folder)
-    files = {kernel: kernel.read_text(encoding="utf-8") for kernel in ROOT.glob("hjprofile/**/kernels/*.py")}
-    imports = {
-        kernel.relative_to(ROOT).as_posix(): {
-            f"{name.replace('.', '/')}.py" for name in re.findall(r"^from (hjprofile\.\S+) import", text, flags=re.M)
-        }
-        for kernel, text in files.items()
-    }
-    affected = {path}
-    while more := {kernel for kernel, names in imports.items() if names & affected} - affected:
-        affected |= more
+    affected = reaching(mutant.line, mutant.path)
     for compiled in folder.glob("hjprofile/**/*.kernel"):
-        module = compiled.parent.parent / f"{compiled.name.split('.')[0]}.py"
         data = compiled.read_bytes()
         valid = data[:32] == hashlib.sha256(before + data[32:]).digest()
-        if valid and module.relative_to(folder).as_posix() not in affected:
+        if valid and ".".join(compiled.name.split(".")[:2]) not in affected:
             compiled.unlink()  # it may be a link
             compiled.write_bytes(hashlib.sha256(now + data[32:]).digest() + data[32:])
 
@@ -331,7 +357,7 @@ def verdict(mutant: Mutant | None, near: bool = False) -> str:
         before = digest_of_sources(folder) if "/kernels/" in mutant.path else b""
         (folder / mutant.path).write_text(changed(mutant), encoding="utf-8")
         if before and Path(mutant.path).stem not in ("__init__", "disk_cache"):
-            keep_what_is_as_it_was(folder, mutant.path, before)
+            keep_what_is_as_it_was(folder, mutant, before)
         first, rest = tests_of(mutant.path)
         killer = failed_test(folder, first, FIRST_LIMIT)
         return killer if killer or near else failed_test(folder, rest, REST_LIMIT)

@@ -393,3 +393,31 @@ def test_features_of_very_different_length(name):
     assert np.abs(run.u - finer.u).max() <= 2.0 * run.error_estimate <= 1e-6
     cells = hj.solve_conservative(problem, dataclasses.replace(grid, cells=8000))
     assert np.abs(cells.u[:, ::16] - finer.u).max() <= 2e-3 * max(1.0, np.ptp(finer.u[0] - finer.x))
+
+
+@pytest.mark.parametrize(("error", "tries"), [(0.0, 0), (1.0, 2)])
+def test_an_event_is_found_within_the_step(error, tries):
+    """The root at 0.4 of the growth of a step is found, though the sign changes back at 1.6, beyond its end.
+
+    It takes no further step where the interpolant is good enough, and else two that end there.
+    """
+    problem = hj.Problem(hj.rational(), T2, end=0.5)
+    panels = cut_into_panels(problem, -11.0)
+    moving = MovingLabels(problem, panels, characteristics._table(problem, panels), 1e-12, 1e3)
+    end, _ = moving._try(0.01)
+    one = 1e3 - moving.patience
+
+    def least(panels):
+        part = panels.totals[0] / end.totals[0]
+        return (0.4 - part) * (1.6 - part)
+
+    part, there, _ = moving._root(0.01, end, least, (least(panels), least(end)), error)
+    assert there.totals[0] == pytest.approx(0.4 * end.totals[0], rel=1e-12) and 0.3 < part < 0.5
+    assert 1e3 - moving.patience <= (1.0 + tries) * one * (1.0 + 1e-9)
+
+
+def test_a_slope_of_a_hundred_thousand_lengths():
+    """Places on its panels, which are as long, are known to their rounding only, and the label at the crest to that."""
+    problem = hj.Problem(hj.rational(), hj.bumps([1e-3], [-1e5], [50.0]), end=1.0, snapshots=2)
+    run = hj.solve_characteristics(problem, hj.Grid(-1.1e5, 200))
+    assert run.done and run.steps <= 20 and run.error_estimate <= 1e-12

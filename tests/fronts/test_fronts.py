@@ -7,14 +7,17 @@ import oracles
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.polynomial import Polynomial
 
 import hjprofile as hj
 from hjprofile.problem.case_files import shipped_cases
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink
 from hjprofile.solvers.front_tracking import begin
-from hjprofile.solvers.fronts.front_data import FAN_FRONT, cut_into_fronts
+from hjprofile.solvers.fronts.front_data import FAN_FRONT, FrontData, cut_into_fronts
 from hjprofile.solvers.fronts.front_tracker import SUBLINEAR, FrontTracker
-from hjprofile.solvers.fronts.kernels.exact_fronts import narrowed
+from hjprofile.solvers.fronts.kernels.exact_fronts import first_crossing, narrowed
+from hjprofile.solvers.fronts.kernels.front_state import Sides
+from hjprofile.solvers.fronts.kernels.moving_fronts import crossing_error
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels.law import law_decay, law_q_f
 
@@ -357,3 +360,131 @@ def test_volume_of_a_piece_of_any_length(law, length):
     exact = 0.7 * (length + np.expm1(-length))
     rounding = 1e-14 * length
     assert begin(problem, -2.0 * length, 4).tracker.volume() == pytest.approx(exact, rel=1e-9, abs=rounding)
+
+
+@pytest.mark.parametrize("width", [1e-3, 1e-7])
+def test_a_fall_that_a_shock_soon_swallows_takes_few_fronts(width):
+    """A narrow pulse keeps about the least number of fronts for its fall, and the smooth rest has those asked for."""
+    x = np.linspace(-9.0, -6.0, 60)
+    q = 0.6 * np.exp(-4.0 * (x + 7.5) ** 2)
+    q[[0, -1]] = 0.0
+    pulse = hj.points([*x, -4.0 - width, -4.0 - width, -4.0, -4.0], [*q, 0.0, 3.0, 3.0, 0.0])
+    data, _ = cut_into_fronts(hj.Problem(hj.rational(), pulse, end=1.0), -10.0, 200, SUBLINEAR)
+    in_pulse = np.count_nonzero(np.abs(data.x + 4.0) <= 2 * width)
+    assert in_pulse <= 25 and 175 <= data.x.size - in_pulse <= 205
+
+
+def test_a_jump_up_at_the_foot_is_a_kink_from_the_start():
+    """The leftmost break of a profile, where its slope departs from the critical one, is a kink like any other."""
+    run = hj.track_fronts(hj.Problem(hj.rational(), hj.steps([-4.0, -2.0], [0.5]), end=0.1), hj.Grid(-6.0, 60))
+    assert [k.x for k in run.kinks_at(0)] == [-4.0] and not run.events
+
+
+def test_the_error_of_fronts_that_have_crossed_counts_every_pair_from_either_side():
+    """Three fronts in reverse order, with K |f| = 1 left of them: jumps times overlaps, and mirror images err alike."""
+    law, jump, x = law_table(hj.rational(), -0.5, 1.0), np.array([0.1, 0.2, 0.4]), np.array([-0.1, -0.2, -0.4])
+    sides = Sides(np.ones(3), np.ones(3), np.zeros(3), np.zeros(3))
+    error = crossing_error(x, jump, 3, sides, np.ones(3), law)
+    pairs = sum(jump[i] * jump[j] * (x[i] - x[j]) for i in range(3) for j in range(i + 1, 3))
+    assert 2.0 * pairs <= error <= 4.0 * pairs
+    mirrored = crossing_error(-0.5 - x[::-1], jump[::-1].copy(), 3, sides, np.ones(3), law)
+    assert mirrored == pytest.approx(error, rel=1e-14)
+
+
+def test_fronts_give_up_for_short_steps_and_not_for_many():
+    """Twenty thousand steps of 1/20000 of the way arrive; ten thousand that are a billionth of it do not."""
+    problem = hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0)
+    for longest, arrives, most in ((5e-5, True, 21_000), (1e-9, False, 10_001)):
+        data, table = cut_into_fronts(problem, -4.0, 40, SUBLINEAR)
+        tracker = FrontTracker(data, table, exact=False)
+        tracker.control = tracker.control._replace(longest=longest, step=np.array([longest, 0.0]))
+        tracker.advance(1.0)
+        assert tracker.arrived == arrives and 10_000 <= tracker.steps <= most
+
+
+@pytest.mark.parametrize("root", [0.03, 0.4, 0.97])
+@pytest.mark.parametrize("pair", [0, 1, 2])
+def test_the_first_crossing_of_cubic_paths_is_exact(root, pair):
+    """Of three fronts two meet, or the last leaves, at the given part of a step; another pair meets a little later."""
+    gaps = [Polynomial([1.0, 0.2, -0.1, 0.05])] * 3
+    gaps[pair] = Polynomial([root, -1.0]) * Polynomial([1.0, 0.5, 0.8])
+    gaps[pair - 1] = Polynomial([1.01 * root, -1.0]) * Polynomial([1.0, -0.3, 0.2])
+    before, after = (-np.cumsum([gap(s) for gap in gaps[::-1]])[::-1] for s in (0.0, 1.0))
+    rates, dt = np.zeros((13, 3)), 0.7
+    rates[0], rates[12] = (-np.cumsum([gap.deriv()(s) for gap in gaps[::-1]])[::-1] / dt for s in (0.0, 1.0))
+    assert first_crossing(before, after, rates, dt, 3) == pytest.approx(root, abs=2e-9)
+
+
+@pytest.mark.parametrize("labels", [(1, 0), (0, 1), (0, 0)])
+def test_between_fronts_far_apart_the_piece_is_read(labels):
+    """Beside a strong front that is no kink, be it the left or the right one, W and K are those of the piece."""
+    two, x = np.array([-4.0, -2.0]), np.linspace(-3.9, -2.1, 19)
+    data = FrontData(two, np.array([0.8, -0.3]), np.array(labels), np.ones(2, dtype=bool), 1e-3, 1.0, 0.5, 1.0, 0.6)
+    W, K = FrontTracker(data, law_table(hj.rational(), -0.5, 1.0), exact=False).read(x)
+    q = 0.8 * np.exp(-4.0 - x)
+    assert np.abs(W - (0.8 - q)).max() <= 1e-14 and np.ptp(np.log(K / (1.0 + q))) <= 1e-14
+
+
+def test_a_fan_down_to_the_critical_slope_is_that_of_one_down_to_nearly_it():
+    """Fronts of a fall to q = 0 are those of falls to ±1e-9: a characteristic of q = 0 moves as all beside it."""
+
+    def fan(foot):
+        profile = hj.steps([-2.0, -1.0, -0.5], [1.0, foot])
+        data, _ = cut_into_fronts(hj.Problem(hj.rational(), profile, end=0.5), -3.0, 200, SUBLINEAR)
+        return data.jump[data.x == -1.0]
+
+    assert fan(0.0).size > 50
+    for foot in (1e-9, -1e-9):
+        assert fan(foot) == pytest.approx(fan(0.0), abs=1e-8)
+
+
+@pytest.mark.parametrize("law", ["log", "power", "user"])
+@pytest.mark.parametrize("jump", [1e-6, -1e-6])
+def test_a_weak_front_moves_with_the_derivative_midway(law, jump):
+    """[f]/[q] of a jump of R by 1e-6 is f' between its sides, where a quotient of differences would be rounding."""
+    law = LAWS[law][0]
+    jumps = np.array([float(law.R(0.5) - law.R(0.0)), jump])
+    data = FrontData(np.array([-3.0, -2.9]), jumps, np.array([1, 0]), np.zeros(2, dtype=bool), 1.0, 1.0, 0.5,
+                     float(law.R(0.0)), 0.0)  # fmt: skip
+    tracker = FrontTracker(data, law_table(law, -0.5, 2.0), exact=True)
+    sides = tracker._sweep()
+    between = [law_q_f(side[1], tracker.medium.law)[0] for side in (sides.r_left, sides.r_right)]
+    assert sides.slope[1] == pytest.approx(float(law.derivative(np.mean(between))), rel=1e-9)
+
+
+@pytest.mark.parametrize("end", [0.01, 1.0, 100.0])
+def test_no_more_error_is_saved_at_first_than_later(end):
+    problem = hj.Problem(hj.rational(), T2, end=end)
+    control = FrontTracker(*cut_into_fronts(problem, -10.0, 40, SUBLINEAR), exact=False, end=end).control
+    assert 0.0 < control.step[1] <= control.saved < end
+
+
+def test_the_exact_integration_takes_few_steps():
+    """A step that errs too much is repeated with one that is as long as its error allows, not with a tenth of it."""
+    for positions, amplitudes, most in (([-6.0], [1.0], 30), ([-7.0, -6.2, -5.0], [0.4, 1.2, 2.0], 44)):
+        problem = hj.Problem(hj.rational(), hj.kinks(positions, amplitudes), end=10.0, snapshots=2)
+        assert hj.track_fronts(problem, hj.Grid(-8.0, 100)).steps <= most  # measured 25 and 37; with tenths 40 and 51
+
+
+def test_the_sample_of_a_profile_follows_it_where_it_is_steep():
+    """Between neighbours of the sample ln(1 + q) changes by a sixteenth of its range at most, on a bump of 1e-3 too."""
+    bump = hj.profile(lambda x: x + 1e-3 * np.tanh((x + 3.0) / 1e-3))
+    data, _ = cut_into_fronts(hj.Problem(hj.rational(), bump, end=0.1), -10.0, 200, SUBLINEAR)
+    v = np.log1p(data.sample.q)
+    assert np.abs(np.diff(v)).max() <= np.ptp(v) / 16.0 and np.ptp(v) == pytest.approx(np.log(2.0), rel=1e-2)
+
+
+def test_K_is_of_second_order_between_fronts():
+    """T2 at t = 0.5, on nodes between the fronts, against characteristics."""
+    problem, grid, counts = hj.Problem(hj.rational(), T2, end=0.5, snapshots=2), hj.Grid(-10.0, 4000), [200, 400, 800]
+    exact = hj.solve_characteristics(problem, grid).K[-1]
+    off = [np.abs(np.log(hj.track_fronts(problem, grid, n).K[-1] / exact)).max() for n in counts]
+    assert 1.8 <= hj.observed_order(counts, off) <= 2.3 and off[-1] <= 1e-4
+
+
+def test_a_height_added_to_a_profile_stays_added():
+    def run(height):
+        profile = hj.profile(lambda x: height + x + 0.5 * np.tanh(2.0 * (x + 3.0)))
+        return hj.track_fronts(hj.Problem(hj.rational(), profile, end=0.5, snapshots=2), hj.Grid(-14.0, 200), 100)
+
+    assert np.abs(run(7.0).u - run(0.0).u - 7.0).max() <= 1e-6

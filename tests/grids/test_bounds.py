@@ -179,3 +179,46 @@ def test_a_frozen_step_allows_for_K_of_the_next_node():
     )  # fmt: skip
     assert monitor.bounds["flux_maximum"].worst_margin == 1.0
     assert all(bound.holds for bound in monitor.bounds.values())
+
+
+def look(monitor, q, t, **known):
+    """The monitor is shown the slopes q at the time t, as a scheme shows them after many steps."""
+    steps = monitor.froze + BoundsMonitor.FROZEN_STEPS
+    rest = dict(dt=1e-3 * monitor.grid.dx, growth=0.0, outflow=0.0, volume=lambda: 0.0, K=np.ones(q.size + 1)) | known
+    monitor.observe(State(t=t, steps=steps, first=0, q=q, law=Rational(), speed=4.0, bound=4.0, **rest))
+
+
+@pytest.mark.parametrize(("low", "least"), [(0.1, 15), (-0.8, 10)])
+def test_the_constants_of_kruzkovs_inequality_are_slopes_from_all_over(low, least, monkeypatch):
+    """Forty looks take most of twenty slopes as the constant, but none with K f' above the 4 that bounds the step."""
+    constants = []
+
+    def step(q, *rest):
+        constants.extend(q[:1] if np.ptp(q) == 0.0 else [])
+        return frozen_step(q, *rest)
+
+    monkeypatch.setattr(watch, "frozen_step", step)
+    grid, q = hj.Grid(-1.0, 20), np.linspace(low, 0.3, 20)
+    W = np.append(0.0, np.cumsum(q) * grid.dx)
+    problem = hj.Problem(hj.rational(), steps(grid.nodes, q), end=1.0)
+    monitor = BoundsMonitor(problem, grid, W, MONOTONE, flux=FLUXES["godunov"])
+    for n in range(40):
+        look(monitor, q, 0.01 * n)
+    assert set(constants) <= set(q[q >= -0.5].tolist()) and len(set(constants)) >= least
+
+
+def test_rounding_is_allowed_by_all_that_flows_through():
+    """The mass budget holds if one part in 1e11 of what has come in is lost, and not if it is one in 1e9."""
+    problem, grid = hj.Problem(hj.rational(), hj.steady(0.4), end=1e4), hj.Grid(-1.0, 20)
+    q = np.full(20, float(hj.rational().inverse(0.4)))
+    for part, holds in ((1e-11, True), (1e-9, False)):
+        monitor = BoundsMonitor(problem, grid, np.append(0.0, np.cumsum(q) * grid.dx), {"mass_budget": "first order"})
+        look(monitor, q, 1e4, outflow=0.4 * 1e4 * (1.0 + part))
+        assert monitor.bounds["mass_budget"].holds == holds
+
+
+def test_bounds_hold_for_a_profile_that_begins_at_the_left_end():
+    """The slope left of the grid is critical, so that the jump at its left end is a part of TV(q) from the start."""
+    problem = hj.Problem(hj.rational(), steps([-1.0, -0.5], [0.5]), end=0.1, snapshots=2)
+    run = hj.solve_hj(problem, hj.Grid(-1.0, 50), "godunov")
+    assert run.q[0, 0] == pytest.approx(0.5) and "tv_growth" in run.bounds and run.broken_bounds == []

@@ -124,6 +124,13 @@ def test_flicker_is_no_kink():
     assert link(frames, 0.01, lambda s: 0.1) == []
 
 
+def test_a_kink_that_is_born_and_leaves_within_the_run_is_one():
+    """It is neither there at the start nor at the end, and none merges into it; but it has crossed forty cells."""
+    frames = [(0.01 * n, [sighting(-0.5 + 0.01 * n)] if 10 <= n < 50 else []) for n in range(90)]
+    (path,) = link(frames, 0.01, lambda s: 1.0)
+    assert path.born and path.number == 1 and (path.end.event, path.end.time) == ("exit", pytest.approx(0.5, abs=1e-9))
+
+
 def test_a_kink_that_was_out_of_sight_is_the_same_kink():
     """Seen again beyond where it was looked for, it has another number until both would go on with one sighting."""
     x = [-1.0 + 0.01 * n for n in range(40)]
@@ -145,6 +152,27 @@ def test_kinks_that_did_not_touch_have_not_merged():
     frames = [(t, [a._replace(x=a.x + 0.035), *rest]) if t < 0.295 else (t, [a, *rest]) for t, (a, *rest) in frames]
     first, second = link(frames, 0.001, lambda s: 1.0)  # the same within 7 cells
     assert {p.end and p.end.event for p in (first, second)} == {None, "merge"}
+
+
+@pytest.mark.parametrize("apart", [0.03, 0.0])
+def test_kinks_that_did_not_close_in_merged_when_both_were_last_seen(apart):
+    """Three cells from each other, or at one place, they keep their distance until one is seen in the place of both."""
+    frames = [(0.01 * n, [sighting(-2.0 + 0.01 * n), sighting(-2.0 + 0.01 * n + apart)]) for n in range(30)]
+    frames += [(0.01 * n, [sighting(-2.0 + 0.01 * n + 0.5 * apart)]) for n in range(30, 60)]
+    first, second = link(frames, 0.01, lambda s: 1.0)
+    assert first.end is None and second.end is not None
+    assert (second.end.event, second.end.time) == ("merge", pytest.approx(0.29, abs=1e-9))
+
+
+def test_kinks_that_are_seen_together_three_times_meet_by_their_speeds():
+    """Three places scatter too much for a straight line: from the last, 0.05 apart, they close in at 2 - 1."""
+    fast, slow = sighting(0.0)._replace(K=2.0), sighting(0.0)._replace(K=1.0)
+    places = [(-2.0, -1.93), (-1.97, -1.915), (-1.96, -1.91)]
+    frames = [(0.01 * n, [fast._replace(x=a), slow._replace(x=b)]) for n, (a, b) in enumerate(places)]
+    frames += [(0.01 * n, [slow._replace(x=-1.94 + 0.01 * n)]) for n in range(3, 40)]
+    first, second = link(frames, 0.01, lambda s: s.K)
+    assert first.end is None and second.end is not None
+    assert second.end[:2] == (pytest.approx(0.02 + 0.05, abs=1e-9), "merge")
 
 
 def test_two_kinks_that_are_seen_too_far_back_keep_their_order():
@@ -216,3 +244,14 @@ def test_kinks_are_found_from_the_cells_of_the_grid_alone():
             assert np.array_equal(find_kinks(long[24:36], -1.0, 0.05, Rational()), alone)
         found += len(alone)
     assert found > 200
+
+
+@pytest.mark.parametrize("part", [0.0, 0.1, 0.5, 0.8])
+def test_a_kink_between_two_steep_lines_is_found_to_rounding(part):
+    """q falls by 0.05 and 0.075 a cell on either side of a jump from 0.2 to 1, which is anywhere in a cell."""
+    grid = hj.Grid(-1.0, 40)
+    place = grid.nodes[20] + part * grid.dx
+    x = grid.nodes - place
+    W = np.where(x < 0.0, 0.2 * x - x * x, x - 1.5 * x * x)
+    ((found, left, right, _),) = find_kinks(np.diff(W) / grid.dx, -1.0, grid.dx, Rational())
+    assert (found, left, right) == pytest.approx((place, 0.2, 1.0), abs=1e-10)

@@ -294,3 +294,13 @@ def test_steps_that_stay_too_short_end_the_run(monkeypatch):
     run = hj.solve_hj(problem, hj.Grid(-3.0, 100), "weno5")
     assert run.status.startswith("stopped at t = ") and "fell below 1e-09 of the run" in run.status
     assert 100 < run.steps <= 100 + 64  # steps are counted by the batch
+
+
+@pytest.mark.parametrize("method", ["godunov", "weno5"])
+def test_steps_are_as_long_as_the_cfl_number_says(method):
+    """On a steady slope max K f' stays what it is, and there are hardly more steps than that many to the end."""
+    problem, grid = hj.Problem(hj.rational(), hj.steady(0.4), end=1.0, snapshots=2), hj.Grid(-2.0, 200)
+    run = hj.solve_hj(problem, grid, method)
+    speed = float(np.max(run.K[0, :-1] * hj.rational().derivative(run.q[0])))
+    least = problem.end * speed / (0.9 * scheme_of(problem, grid, method).cfl_limit * grid.dx)
+    assert 0.99 * least <= run.steps <= 1.2 * least

@@ -62,3 +62,16 @@ def test_volume_and_exit(law, form):
     assert abs(exact.kink(exact.exit_time * (1 - 1e-9))) <= 1e-7
     assert np.isnan(exact.kink(exact.exit_time + 1e-9))
     assert np.all(exact.u(exact.exit_time, grid.nodes) == grid.nodes)
+
+
+def test_the_eroded_volume_of_a_strong_kink_is_that_of_its_heights():
+    """∫W dx right of a kink with q = a, at a distance L from the crest, is a (L - 1 + e^-L)."""
+    exact = travelling_kink(hj.rational(), 20.0, -15.0)
+
+    def volume(t):
+        s = exact.kink(t)
+        return 20.0 * (-s - 1.0 + np.exp(s))
+
+    for t in (0.1, 0.5, 0.9, 0.99):
+        t *= exact.exit_time
+        assert exact.eroded(t, -15.0) == pytest.approx(volume(0.0) - volume(t), rel=1e-11)

@@ -7,6 +7,7 @@ import pytest
 
 import hjprofile as hj
 from hjprofile.solvers.closed_forms import travelling_kink
+from hjprofile.solvers.run import Event, in_order
 
 TRIPLE = -5.893338246587875  # from here the first kink reaches the others as they meet, by bisection on fronts
 EXACT = {"fronts": hj.track_fronts, "characteristics": hj.solve_characteristics}
@@ -130,3 +131,10 @@ def test_a_blow_up_or_merge_at_the_end_is_listed_under_linear_growth():
         problem = replace(case.problem, end=event.time, snapshots=2)
         last = hj.track_fronts(problem).events[-1]
         assert last[1:4] == event[1:4] and last.time == pytest.approx(event.time, abs=1e-11)
+
+
+@pytest.mark.parametrize(("later", "moment", "into"), [(1.0, 0.0, 1), (1.5, 0.5, 1), (1.5, 0.25, 2)])
+def test_kinks_that_meet_within_a_moment_merge_into_the_one_that_lives_on(later, moment, into):
+    """Kink 3 merges into 2 at t = 1; it merges into 1 if 2 does so no more than a moment later."""
+    meetings = [Event(later, "merge", 2, 1, -1.0), Event(1.0, "merge", 3, 2, -1.0)]
+    assert {e.kink: e.into for e in in_order(meetings, moment)} == {2: 1, 3: into}

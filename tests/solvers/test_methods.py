@@ -1,6 +1,7 @@
 """The table of methods: what a row says of a method is what the method does."""
 
 import dataclasses
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 import hjprofile as hj
 from hjprofile.solvers.method import Feature, Form, requirements
 from hjprofile.solvers.methods import FLUXES, METHODS, find_method, named
-from hjprofile.solvers.solve import check, solve_with
+from hjprofile.solvers.solve import check, check_case, solve_with
 
 KINK = hj.kinks([-3.0], [0.5])
 GRID, WINDOW = hj.Grid(-5.0, 60), hj.Grid(-5.0, 60, 1.0)
@@ -70,6 +71,22 @@ def test_rows_agree_with_each_other():
             assert row.cfl_proved <= row.flux.cfl_limit and row.flux is FLUXES[row.flux.name]
     with pytest.raises(dataclasses.FrozenInstanceError):
         METHODS["conservative"].name = "another"
+
+
+@pytest.mark.parametrize("method", ["godunov", "fronts", "characteristics", "auto"])
+def test_a_case_whose_profile_does_not_fit_its_grid_is_refused_by_every_method(method):
+    tolerance = {"solver.tolerance": 1e-3} if METHODS[method].needs_tolerance else {}
+    case = hj.load_case("travelling_kink", {"solver.method": method} | tolerance)
+    with pytest.raises(hj.InputError, match="the profile reaches left to x = -6 but the domain begins at left = -2"):
+        hj.solve_case(dataclasses.replace(case, grid=hj.Grid(-2.0, 100)))
+
+
+@pytest.mark.parametrize("method", ["characteristics", "auto"])
+def test_a_tolerance_may_be_the_least_and_the_largest_that_a_method_takes(method):
+    least, most = METHODS[method].tolerance
+    for tolerance, good in ((least, True), (most, True), (0.99 * least, False), (1.01 * most, False)):
+        with nullcontext() if good else pytest.raises(hj.InputError, match=f"between {least:g} and {most:g}"):
+            check_case(hj.load_case("travelling_kink", {"solver.method": method, "solver.tolerance": tolerance}))
 
 
 def test_an_unknown_name_is_met_with_the_nearest():

@@ -1,6 +1,7 @@
 """The least work that meets a tolerance: it is met, the estimate is honest, and the choice says why."""
 
 import json
+import time
 from collections import Counter
 
 import numpy as np
@@ -114,6 +115,12 @@ def test_what_is_chosen_and_why():
         assert run.case["solver"] == {"method": "auto", "cfl": 0.9, "tolerance": tolerance}
 
 
+def test_the_seconds_of_a_search_are_no_more_than_it_takes():
+    started = time.perf_counter()
+    run = hj.solve(hj.Problem(hj.rational(), hj.steady(0.4, -1.0), end=0.5, snapshots=2), 1e-6, hj.Grid(-2.0, 100))
+    assert 0.0 < run.wall_seconds <= time.perf_counter() - started
+
+
 def test_a_flux_that_enters_has_a_closed_form():
     """And the grid it is read on; with neither fronts nor characteristics there is nothing else."""
     problem = hj.Problem(hj.rational(), hj.steady(0.4), end=0.5, snapshots=3)
@@ -154,6 +161,21 @@ def test_a_tolerance_that_nothing_meets_is_told(monkeypatch):
     run = hj.solve(hj.Problem(hj.rational(), T2, end=0.5, snapshots=2), 1e-7, hj.Grid(-10.0, 200))
     assert not run.done and run.error_estimate > 1e-7 and run.time[-1] == 0.5
     assert "tolerance 1e-07 is not met" in run.status and "tolerance 1e-07 is not met" in run.warnings[0]
+
+
+def test_characteristics_are_given_as_long_as_fronts_would_take(monkeypatch):
+    """In counted seconds: fronts take ten times as long for a tenth of the tolerance, and meet it after that."""
+    patiences = []
+
+    def gives_up(problem, grid, tolerance, progress, patience):
+        patiences.append(patience)
+        raise Stopped(Stop(Reason.TOO_LONG, "it would take too long"))
+
+    monkeypatch.setattr(select, "solve_characteristics", gives_up)
+    for tolerance in (3e-7, 3e-8):
+        run = hj.solve(hj.Problem(hj.rational(), T2, end=0.5, snapshots=2), tolerance, hj.Grid(-10.0, 200))
+        assert run.method == "fronts" and run.error_estimate <= tolerance
+    assert len(patiences) == 2 and patiences[1] / patiences[0] == pytest.approx(10.0, rel=0.2)  # 9.2
 
 
 def test_the_left_end_is_found():

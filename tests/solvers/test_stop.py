@@ -2,9 +2,11 @@
 
 import pickle
 
+import numpy as np
 import pytest
 
 import hjprofile as hj
+from hjprofile.solvers.run import Breakdown, Verdict
 from hjprofile.solvers.stop import Place, Reason, Stop, Stopped, Time
 
 INNER = Stop(Reason.LABELS_LOST, "a kink would be born at x = {x:.6g}", "use the method fronts", {"x": Place(-2.0)})
@@ -41,3 +43,22 @@ def test_an_error_carries_its_reason():
     assert caught.value.stop.reason is Reason.NOT_RESOLVED
     again = pickle.loads(pickle.dumps(caught.value))
     assert (str(again), again.stop) == (str(caught.value), caught.value.stop)
+
+
+@pytest.mark.parametrize(("x", "where"), [(-2.5, " near x = -2.5"), (np.nan, "")])
+def test_a_bound_that_is_broken_says_where_if_that_is_known(x, where):
+    broken = Verdict(False, -3.0, 1.5, x, "rounding").broken("signs")
+    assert broken.cause == f"signs does not hold at t = 1.5{where}: exceeded by 3 times what is allowed (rounding)"
+
+
+@pytest.mark.parametrize(
+    ("q", "K", "cell"),
+    [
+        ([0.0, -1.5, 0.5, np.nan, 0.2], [1.0] * 6, 3),  # of the cells with no slope above -1, the rightmost
+        ([0.0, -0.9, 0.5, -0.2], [1.0, np.inf, np.nan, 1.0, 1.0], 1),  # of those where K is no number, the first
+        ([0.0, -0.9, 0.5, -0.2], [1.0] * 5, 1),  # else the lowest slope
+    ],
+)
+def test_a_breakdown_names_the_cell_to_blame(q, K, cell):
+    found = Breakdown(np.array(q), np.array(K), first=10)
+    assert found.cell == 10 + cell and found.q == pytest.approx(q[cell], nan_ok=True)

@@ -339,6 +339,20 @@ def test_bad_surveys_after(slope, coarse, call, tmp_path):
         hj.fit(inflow, x, height, ["time.end"])
 
 
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (np.inf, "must be two lists of as many finite numbers"),
+        (1e13, "must be two lists of as many finite numbers"),
+        (-9999.0, "the survey after has -9999 at x = 75, which is not a measured height; omit it"),
+    ],
+)
+def test_one_row_of_the_survey_after_that_is_no_height_is_refused(slope, wrong, words):
+    path, x, height = slope
+    with pytest.raises(hj.InputError, match=words):
+        hj.fit(path, x, np.where(np.arange(x.size) == 3, wrong, height), ["time.end"])
+
+
 def test_a_fit_that_does_not_converge(slope, coarse, call, tmp_path, monkeypatch):
     path, x, height = slope
     monkeypatch.setattr(calibration, "MOST_STEPS", 2)

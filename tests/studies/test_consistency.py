@@ -167,6 +167,24 @@ def test_sound_records_of_a_high_order_method_with_a_refresh_interval_pass():
     assert [c.name for c in records(run, problem, 1.0, "") if not c.passes] == []
 
 
+def test_a_K_that_is_wrong_when_it_is_new_is_found():
+    """K is new at 0, 0.5 and 1 of the saved times, and only there it is that of the slopes; at 0.25 and 0.75 not."""
+    problem = replace(LEAVING[0], end=1.0, snapshots=5)
+    run = hj.solve_hj(problem, hj.Grid(-2.0, 400), "godunov", refresh=0.5)
+    for i, new in enumerate((True, False, True, False, True)):
+        K = run.K.copy()
+        K[i, :-1] *= 1.001
+        failed = {c.name for c in records(replace(run, K=K), problem, 0.5, "") if not c.passes}
+        assert ("saved-K" in failed) == new
+
+
+def test_sound_records_far_from_the_crest_pass():
+    """u is -1000 at the left end, and its difference quotients have the rounding of that."""
+    problem, grid = hj.Problem(hj.rational(), hj.kinks([-900.0], [1.0]), end=0.5, snapshots=2), hj.Grid(-1000.0, 2000)
+    run = hj.solve_hj(problem, grid, "godunov")
+    assert [c.name for c in records(run, problem, None, "") if not c.passes] == []
+
+
 def test_a_wrong_outflow_is_found():
     problem, grid = LEAVING
     run = hj.solve_hj(problem, grid, "godunov")
@@ -284,6 +302,21 @@ def test_a_profile_that_the_grids_do_not_resolve_is_left_open():
     verdict = Consistency("slope", "Slope", (left_open,))
     assert verdict and "use more cells" in str(verdict) and "independence:godunov:u" in verdict.report()["warnings"][0]
     assert not _within(*apart[:3], 1.0, sound=False, resolved=True).passes
+
+
+def test_what_the_witness_says_of_its_error_is_allowed_for(monkeypatch):
+    """Characteristics that are off by as much as they estimate themselves do not turn it red."""
+    sound = consistency.solve_characteristics
+
+    def off(*arguments):
+        run = sound(*arguments)
+        return replace(run, u=run.u + 0.01 * (run.time[:, None] > 0.0), error_estimate=0.01)
+
+    monkeypatch.setattr(consistency, "solve_characteristics", off)
+    monkeypatch.setattr(consistency, "LEAST_CELLS", 200)
+    checks = check_consistency(replace(KINK[0], snapshots=2), replace(KINK[1], cells=200))
+    against = [c for c in checks if c.name.startswith("characteristics:")]
+    assert len(against) == 3 and all(c.passes and c.resolved for c in against)
 
 
 def test_compare_wants_nested_grids_and_common_times():

@@ -91,6 +91,20 @@ def test_extremes(trials):
     assert outcomes(trials, "least 1 + q", "conservative")[1e-3] == FAILS
 
 
+def test_the_limit_of_the_second_order_scheme_in_a_hollow_is_theorys(trials):
+    """K half a step ahead, 1 + f dx/2 with f = 1 - 1/(1 + q), is positive above 1 + q = dx/(2 + dx)."""
+    limits = {t.method: t.theory for t in trials if t.parameter == "least 1 + q"}
+    dx = 10.0 / FEWER["CELLS"]
+    assert limits.pop("conservative") == pytest.approx(dx / (2.0 + dx), rel=0.05)
+    assert np.all(np.isnan(list(limits.values())))
+
+
+@pytest.mark.parametrize("name", ["CFL", "VISCOSITY", "REFRESH", "SMALLEST", "EXPONENTS", "CUTS"])
+def test_a_scan_goes_from_one_end_to_the_other(name):
+    steps = np.diff(getattr(study, name))
+    assert np.all(steps > 0.0) or np.all(steps < 0.0)
+
+
 def test_picture(trials):
     figure = draw_stability(trials)
     panels = [axes for axes in figure.axes if axes.get_title(loc="left")]

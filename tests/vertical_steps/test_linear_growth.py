@@ -6,6 +6,7 @@ equations for two kinks, and on a grid of u with isotonic regression for any pro
 
 from dataclasses import replace
 from functools import lru_cache
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,15 +15,20 @@ from grid_methods import CARRY_STEPS, scheme_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import SteepPair, bump_blow_up, isotonic_profile, longest_step
+from scipy.integrate import quad
 
 import hjprofile as hj
 from hjprofile.problem.case import parse_case
+from hjprofile.solvers.fronts.front_data import cut_into_fronts
 from hjprofile.solvers.grids.grid_law import grid_law
-from hjprofile.solvers.kernels.journal import EVENTS
+from hjprofile.solvers.kernels.journal import EVENTS, OUTFLOW
 from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.vertical_steps.kernels import steps as kernels
 from hjprofile.solvers.vertical_steps.kernels import telescoping
-from hjprofile.solvers.vertical_steps.step_fronts import step_law
+from hjprofile.solvers.vertical_steps.kernels.step_merging import excess_area
+from hjprofile.solvers.vertical_steps.kernels.step_motion import StepControl
+from hjprofile.solvers.vertical_steps.kernels.step_transitions import release
+from hjprofile.solvers.vertical_steps.step_fronts import LINEAR, StepTracker, step_law
 from hjprofile.solvers.vertical_steps.step_monitor import Layer, StepMonitor, _fit, find_steps
 
 LAW = hj.erosion_law(lambda q: q + q / (1 + q), derivative=lambda q: 1 + 1 / (1 + q) ** 2, growth="linear")
@@ -502,3 +508,56 @@ def test_fronts_date_births_and_blow_ups_of_smooth_data():
     dates = [(e.event, e.time) for e in run.events if e.event != "merge"]
     assert [name for name, _ in dates] == ["birth", "birth", "blow-up"] and not run.cautions
     assert [t for _, t in dates] == pytest.approx([0.101, 0.187, 0.349], abs=5e-3)  # the first two that meet
+
+
+def test_a_step_that_lets_a_front_go_leaves_the_others_as_they_are():
+    """What is told of the fronts right of a step, after a weak front has left it, is what a new sweep finds."""
+    data, law = cut_into_fronts(hj.Problem(LAW, BUMP, end=1.0), -4.0, 12, LINEAR)
+    tracker = StepTracker(data, law, exact=False)
+    step = tracker.n // 2
+    tracker.is_step[step], tracker.y[step] = True, 0.5
+    sides = tracker._sweep()
+    heights, n = sides.height[: tracker.n].copy(), tracker.n + 1
+    release(tracker.fronts, n - 1, step, 1e-3, law, sides)
+    told, tracker.n = [side[step + 2 : n].copy() for side in sides], n
+    found = tracker._sweep()
+    assert found.height[step] == pytest.approx(heights[step], abs=1e-12) and heights[step] > 0.3
+    for before, after in zip(told, found, strict=True):
+        assert before == pytest.approx(after[step + 2 : n], rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize(("slope", "h"), [(2.0, 0.7), (2.0, -0.01), (2.0, -0.7), (-0.5, 0.3), (-0.5, -0.3)])
+def test_the_area_under_a_piece_is_the_integral_of_its_R(slope, h):
+    """∫(R - R(0)) dx over either side of a place, also beyond where the piece is vertical and level from there on."""
+    table = step_law(LAW, -0.9)
+    y = kernels.y_of(np.log1p(slope), table)
+    vertical = np.log1p(-y) / table.rate if y < 1.0 else -np.inf
+
+    def excess(s):
+        return kernels.r_of(kernels.v_of(kernels.moved(y, s, table), table), table) - table.r0
+
+    ends = [0.0, h] if not h < vertical else [0.0, vertical, h]
+    exact = sum(quad(excess, a, b, epsabs=1e-12)[0] for a, b in pairwise(ends))
+    assert excess_area(y, h, table) == pytest.approx(exact, abs=1e-9)
+
+
+def test_no_front_crosses_more_than_its_reach_in_a_step():
+    """A kink on its way of 3.5 reaches takes four steps at least, and no more than that needs."""
+    data, law = cut_into_fronts(hj.Problem(LAW, hj.kinks([-3.0], [0.1]), end=1.0), -4.0, 12, LINEAR)
+    tracker = StepTracker(data, law, exact=False)
+    speed = float(tracker._sweep().speed[0])
+    tracker.control = StepControl(spacing=0.05, reach=2.0, quantum=1e-3, strong=1e-2)
+    tracker.advance(0.35 / speed)
+    assert tracker.arrived and 0.3 < tracker.x[0] + 3.0 < 0.4 and 4 <= tracker.steps <= 5
+
+
+@pytest.mark.parametrize("spacing", [0.2, 0.05, 0.01])
+def test_the_crest_is_lowered_by_what_flows_over_it_while_a_kink_leaves(spacing):
+    """In one step or in six: W at x = 0 falls by the outflow, though F jumps as the kink passes."""
+    data, law = cut_into_fronts(hj.Problem(LAW, hj.kinks([-1.0, -0.02], [3.0, 4.0]), end=1.0), -2.0, 12, LINEAR)
+    tracker = StepTracker(data, law, exact=False)
+    tracker.control = StepControl(spacing=spacing, reach=2.0, quantum=1e-3, strong=1e-2)
+    before = tracker.read(np.zeros(1))[0][0]
+    tracker.advance(0.05)
+    assert tracker.n == 1 and [e.event for e in tracker.events] == ["exit"]
+    assert tracker.totals[OUTFLOW] == pytest.approx(before - tracker.read(np.zeros(1))[0][0], abs=1e-8)

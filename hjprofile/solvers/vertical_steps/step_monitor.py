@@ -137,7 +137,8 @@ def with_dates(
         return list(events), ()
     caution = (
         f"{' and '.join(dropped)} are not reported, because {grid.cells} cells do not determine their times: "
-        f"a vertical step is found from a height of {least_height(grid.dx, law):.2g} on; use the method fronts for their times"
+        f"a vertical step is found from a height of {least_height(grid.dx, law):.2g} on; use the method fronts for "
+        "their times"
     )
     return [e for e in events if e.event not in doubtful], (caution,)
 
