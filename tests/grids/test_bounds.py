@@ -183,8 +183,8 @@ def test_a_frozen_step_allows_for_K_of_the_next_node():
 
 def look(monitor, q, t, **known):
     """The monitor is shown the slopes q at the time t, as a scheme shows them after many steps."""
-    steps = monitor.froze + BoundsMonitor.FROZEN_STEPS
-    rest = dict(dt=1e-3 * monitor.grid.dx, growth=0.0, outflow=0.0, volume=lambda: 0.0, K=np.ones(q.size + 1)) | known
+    steps = monitor.steps_frozen + BoundsMonitor.FROZEN_STEPS
+    rest = dict(dt=1e-3 * monitor.grid.dx, toe_gain=0.0, crest_lowering=0.0, volume=lambda: 0.0, K=np.ones(q.size + 1)) | known
     monitor.observe(State(t=t, steps=steps, first=0, q=q, law=Rational(), speed=4.0, bound=4.0, **rest))
 
 
@@ -213,7 +213,7 @@ def test_rounding_is_allowed_by_all_that_flows_through():
     q = np.full(20, float(hj.rational().inverse(0.4)))
     for part, holds in ((1e-11, True), (1e-9, False)):
         monitor = BoundsMonitor(problem, grid, np.append(0.0, np.cumsum(q) * grid.dx), {"mass_budget": "first order"})
-        look(monitor, q, 1e4, outflow=0.4 * 1e4 * (1.0 + part))
+        look(monitor, q, 1e4, crest_lowering=0.4 * 1e4 * (1.0 + part))
         assert monitor.bounds["mass_budget"].holds == holds
 
 

@@ -48,7 +48,7 @@ def test_an_error_carries_its_reason():
 @pytest.mark.parametrize(("x", "where"), [(-2.5, " near x = -2.5"), (np.nan, "")])
 def test_a_bound_that_is_broken_says_where_if_that_is_known(x, where):
     broken = Verdict(False, -3.0, 1.5, x, "rounding").broken("signs")
-    assert broken.cause == f"signs does not hold at t = 1.5{where}: exceeded by 3 times what is allowed (rounding)"
+    assert broken.cause == f"signs does not hold at t = 1.5{where}: the excess is 3 times the allowance (rounding)"
 
 
 @pytest.mark.parametrize(

@@ -342,8 +342,8 @@ def test_bad_surveys_after(slope, coarse, call, tmp_path):
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        (np.inf, "must be two lists of as many finite numbers"),
-        (1e13, "must be two lists of as many finite numbers"),
+        (np.inf, "must be two lists of the same number of finite numbers"),
+        (1e13, "must be two lists of the same number of finite numbers"),
         (-9999.0, "the survey after has -9999 at x = 75, which is not a measured height; omit it"),
     ],
 )

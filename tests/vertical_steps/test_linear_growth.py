@@ -21,7 +21,7 @@ import hjprofile as hj
 from hjprofile.problem.case import parse_case
 from hjprofile.solvers.fronts.front_data import cut_into_fronts
 from hjprofile.solvers.grids.grid_law import grid_law
-from hjprofile.solvers.kernels.journal import EVENTS, OUTFLOW
+from hjprofile.solvers.kernels.journal import CREST_LOWERING, EVENTS
 from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.vertical_steps.kernels import steps as kernels
 from hjprofile.solvers.vertical_steps.kernels import telescoping
@@ -560,4 +560,4 @@ def test_the_crest_is_lowered_by_what_flows_over_it_while_a_kink_leaves(spacing)
     before = tracker.read(np.zeros(1))[0][0]
     tracker.advance(0.05)
     assert tracker.n == 1 and [e.event for e in tracker.events] == ["exit"]
-    assert tracker.totals[OUTFLOW] == pytest.approx(before - tracker.read(np.zeros(1))[0][0], abs=1e-8)
+    assert tracker.totals[CREST_LOWERING] == pytest.approx(before - tracker.read(np.zeros(1))[0][0], abs=1e-8)
