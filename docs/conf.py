@@ -72,7 +72,7 @@ def _link(section):
 
 
 def _readable(app, what, name, obj, options, signature, returns):
-    """A default that is made anew each time has no text that Sphinx could parse."""
+    """Replace the text of a default factory, which Sphinx cannot parse."""
     return signature and signature.replace("<factory>", "..."), returns
 
 

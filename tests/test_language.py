@@ -75,21 +75,3 @@ def test_functions_are_documented_in_the_imperative():
     first = [(f"{path.name}:{node.lineno}", word) for path in MODULES for node, word in documented(path)]
     fragments = [(where, word) for where, word in first if word.lower() not in IMPERATIVES]
     assert len(fragments) <= 0.12 * len(first), (len(fragments), len(first), fragments[:60])
-
-
-def test_columns_of_tables():
-    """Every row of a table has the columns of its header; a bar in a cell is escaped."""
-    for path in PAGES:
-        columns = None
-        for number, line in enumerate(
-            re.sub(
-                r"```.*?```", lambda m: "\n" * m[0].count("\n"), path.read_text(encoding="utf-8"), flags=re.S
-            ).splitlines(),
-            1,
-        ):
-            if line.lstrip().startswith("|"):
-                found = len(re.findall(r"(?<!\\)\|", line))
-                columns = columns or found
-                assert found == columns, f"{path.name}:{number} has {found - 1} columns, not {columns - 1}"
-            else:
-                columns = None

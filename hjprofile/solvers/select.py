@@ -1,4 +1,4 @@
-"""Choice of method and resolution with the least work for a tolerance on u (theory, "No more than a scene needs").
+"""Choice of method and resolution with the least work for a tolerance on u (§17).
 
 The method is a closed form if the data have one, and fronts if the data are kinks only. Otherwise a pilot run of few
 fronts predicts the number of fronts for the tolerance, and characteristics are preferred if they need less work. Work

@@ -184,7 +184,8 @@ def test_a_frozen_step_allows_for_K_of_the_next_node():
 def look(monitor, q, t, **known):
     """The monitor is shown the slopes q at the time t, as a scheme shows them after many steps."""
     steps = monitor.steps_frozen + BoundsMonitor.FROZEN_STEPS
-    rest = dict(dt=1e-3 * monitor.grid.dx, toe_gain=0.0, crest_lowering=0.0, volume=lambda: 0.0, K=np.ones(q.size + 1)) | known
+    rest = dict(dt=1e-3 * monitor.grid.dx, toe_gain=0.0, crest_lowering=0.0, volume=lambda: 0.0)
+    rest |= dict(K=np.ones(q.size + 1)) | known
     monitor.observe(State(t=t, steps=steps, first=0, q=q, law=Rational(), speed=4.0, bound=4.0, **rest))
 
 
