@@ -20,6 +20,7 @@ _ABOUT = {
     "plot": "a-result-folder",
     "export": "a-result-folder",
     "explain": "the-command-line",
+    "import": "an-imported-survey",
 }
 
 
@@ -36,6 +37,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     from cyclopts import CycloptsError
 
     import hjprofile.cli.explain_command
+    import hjprofile.cli.import_command
     import hjprofile.cli.results
     import hjprofile.cli.run_command
     import hjprofile.cli.solving

@@ -17,7 +17,7 @@ from hjprofile.problem.heights import without_height
 from hjprofile.problem.paths import require_file
 from hjprofile.problem.ranges import Array
 
-ABOUT = "the-file-of-a-survey"
+ABOUT = "an-imported-survey"
 MOST_ROWS = 5  # that a message names
 LONGEST_SHOWN = 60  # characters of a line in a message
 SEPARATORS = {"\t": "tabs", ";": "semicolons", "|": "bars", ",": "commas", "": "blanks"}  # the first that fits is taken
@@ -219,9 +219,9 @@ def _columns(
     by_name = {plain(name): i for i, name in reversed(list(enumerate(names))) if _has_a_number(body, i)}
     x, y = _first(by_name, DISTANCE), _first(by_name, NORTHING)
     east, z = _first(by_name, EASTING), _first(by_name, HEIGHT)
-    if None not in (east, y, z) and (x is None or x == east):
+    if east is not None and y is not None and z is not None and (x is None or x == east):
         chosen = [east, y, z]
-    elif None not in (x, z):
+    elif x is not None and z is not None:
         chosen = [x, z]
     elif len(numeric) == 2 or (len(numeric) == 3 and not header):
         chosen = numeric
@@ -229,10 +229,10 @@ def _columns(
         listed = ", ".join(repr(names[i]) for i in numeric)
         raise InputError(
             f"file = {str(file)!r} has the numeric columns {listed}; name those of x and height, for example "
-            f"columns = [{names[numeric[0]]!r}, {names[numeric[-1]]!r}]",
+            f"--columns {names[numeric[0]]},{names[numeric[-1]]}",
             ABOUT,
         )
-    return [i for i in chosen if i is not None], [names[i] for i in chosen if i is not None]
+    return chosen, [names[i] for i in chosen]
 
 
 def _below_names(headers: list[Row], names: list[str]) -> list[Row]:

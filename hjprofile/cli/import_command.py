@@ -1,0 +1,56 @@
+"""The command that makes a case from a file of measured points."""
+
+from __future__ import annotations
+
+import tempfile
+from contextlib import chdir
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from hjprofile.cli.common import Json, answer, app, expanded, say
+from hjprofile.errors import InputError
+
+Source = Annotated[Path, Parameter(converter=expanded, help="A text file with a point per line, in any notation.")]
+Slope = Annotated[float | None, Parameter(help="Neutral slope, height over length; the mean slope by default.")]
+Length = Annotated[float | None, Parameter(help="Exchange length in the unit of x; a tenth of the extent by default.")]
+Columns = Annotated[
+    str | None, Parameter(help="Columns of x and height, or x, y and height: names or numbers, as 2,4.")
+]
+Uphill = Annotated[Literal["left", "right"] | None, Parameter(help="Side of the crest; found from the heights.")]
+Nodata = Annotated[list[float] | None, Parameter(help="Number that stands for no height. May be repeated.")]
+NewCase = Annotated[Path | None, Parameter(converter=expanded, help="The new case file; FILE with .toml by default.")]
+
+
+@app.command(name="import")
+def import_(
+    file: Source, /, *, critical_slope: Slope = None, length: Length = None, columns: Columns = None,
+    uphill: Uphill = None, nodata: Nodata = None, out: NewCase = None, json: Json = False,
+) -> None:  # fmt: skip
+    """Make a case from a file of measured points: a clean CSV file, and a case file next to it.
+
+    Separators, decimal commas, headers, units in headers, gaps and the direction are recognised. No file is replaced.
+    """
+    from hjprofile.files import write_whole
+    from hjprofile.problem.case import load_case
+    from hjprofile.problem.survey_import import import_survey
+
+    case = out or Path(file.stem + ".toml")
+    table = case.with_suffix(".csv")
+    if table.exists() and file.exists() and table.samefile(file):
+        table = case.with_name(f"{case.stem}_clean.csv")
+    for path in (case, table):
+        if path.exists():
+            raise InputError(f"{path} exists, and import replaces no file; name another case with --out")
+    wanted = [int(name) if name.isdigit() else name for name in columns.split(",")] if columns else None
+    made = import_survey(file, table.name, case.stem, critical_slope, length, wanted, uphill, nodata or ())
+    with tempfile.TemporaryDirectory() as trial, chdir(trial):  # a case that would be rejected is not written
+        Path(table.name).write_text(made.csv, encoding="utf-8")
+        Path(case.name).write_text(made.case, encoding="utf-8")
+        load_case(Path(case.name))
+    write_whole(table, made.csv)
+    write_whole(case, made.case)
+    lines = [*made.account, f"written: {table}, {case}", f"next: hjprofile run {case}"]
+    say(json, "\n".join(lines))
+    answer(json, {"case": str(case), "survey": str(table), "account": made.account})
