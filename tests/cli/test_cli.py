@@ -41,8 +41,7 @@ BARE = {"output": {"vtk": False, "plots": False}}
 DRAWN = [f"{name}.{form}" for name in ("profile", "diagram", "factor") for form in ("png", "svg")]
 COMMANDS = (
     "run", "check", "chart", "stability", "dependence", "sweep", "fit", "plot", "compare", "animate", "export", "cases",
-    "explain",
-)  # fmt: skip
+    "explain", "import")  # fmt: skip
 
 
 def write_case(folder, name="scene", **changes):
