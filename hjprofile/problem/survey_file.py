@@ -51,7 +51,7 @@ class Points(NamedTuple):
 
 
 class Row(NamedTuple):
-    """A line of the file that is neither empty nor a comment: its number, its text and its cells."""
+    """A line of the file with content, comments excluded: its number, its text and its cells."""
 
     number: int
     line: str
