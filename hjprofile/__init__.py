@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from hjprofile.problem.erosion import log as log
     from hjprofile.problem.erosion import power as power
     from hjprofile.problem.erosion import rational as rational
+    from hjprofile.problem.given import profile as profile
     from hjprofile.problem.grid import Grid as Grid
     from hjprofile.problem.profiles import bumps as bumps
     from hjprofile.problem.profiles import kinks as kinks
     from hjprofile.problem.profiles import points as points
-    from hjprofile.problem.profiles import profile as profile
     from hjprofile.problem.profiles import steady as steady
     from hjprofile.problem.profiles import steps as steps
     from hjprofile.problem.survey import read_survey as read_survey
@@ -69,7 +69,8 @@ _MODULES = {
     "problem.coefficient": ("Coefficient", "coefficient", "stored_coefficient"),
     "problem.erosion": ("ErosionLaw", "erosion_law", "expression", "log", "power", "rational"),
     "problem.grid": ("Grid",),
-    "problem.profiles": ("bumps", "kinks", "points", "profile", "steady", "steps"),
+    "problem.given": ("profile",),
+    "problem.profiles": ("bumps", "kinks", "points", "steady", "steps"),
     "problem.survey": ("read_survey", "survey"),
     "solvers.run": ("Run",),
     "solvers.solve": (

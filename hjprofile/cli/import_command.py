@@ -20,13 +20,16 @@ Columns = Annotated[
 ]
 Uphill = Annotated[Literal["left", "right"] | None, Parameter(help="Side of the crest; found from the heights.")]
 Nodata = Annotated[list[float] | None, Parameter(help="Number that stands for no height. May be repeated.")]
+From = Annotated[float | None, Parameter(name="--from", help="Smallest x that is used.")]
+To = Annotated[float | None, Parameter(help="Largest x that is used.")]
 NewCase = Annotated[Path | None, Parameter(converter=expanded, help="The new case file; FILE with .toml by default.")]
 
 
 @app.command(name="import")
 def import_(
     file: Source, /, *, critical_slope: Slope = None, length: Length = None, columns: Columns = None,
-    uphill: Uphill = None, nodata: Nodata = None, out: NewCase = None, json: Json = False,
+    uphill: Uphill = None, nodata: Nodata = None, from_: From = None, to: To = None, out: NewCase = None,
+    json: Json = False,
 ) -> None:  # fmt: skip
     """Make a case from a file of measured points: a clean CSV file, and a case file next to it.
 
@@ -44,7 +47,7 @@ def import_(
         if path.exists():
             raise InputError(f"{path} exists, and import replaces no file; name another case with --out")
     wanted = [int(name) if name.isdigit() else name for name in columns.split(",")] if columns else None
-    made = import_survey(file, table.name, case.stem, critical_slope, length, wanted, uphill, nodata or ())
+    made = import_survey(file, table.name, case.stem, critical_slope, length, wanted, uphill, nodata or (), (from_, to))
     with tempfile.TemporaryDirectory() as trial, chdir(trial):  # a case that would be rejected is not written
         Path(table.name).write_text(made.csv, encoding="utf-8")
         Path(case.name).write_text(made.case, encoding="utf-8")

@@ -22,19 +22,20 @@ from hjprofile.output.faults import fault_of
 from hjprofile.output.folder import ResultFolder, owner_of_run
 from hjprofile.problem.ranges import as_path, instance
 from hjprofile.problem.stored import read_profile
-from hjprofile.problem.units import Units
-from hjprofile.solvers.run import FIELDS, UNITS, Event, KinkRecord, Run, Verdict, VerticalStep
+from hjprofile.problem.units import SurveyLine, Units
+from hjprofile.solvers.run import FIELDS, Event, KinkRecord, Run, Verdict, VerticalStep
 
 _Row = TypeVar("_Row", KinkRecord, Event, VerticalStep)
 
 VTK_FOLDER = "vtk"
 STEPS_FILE = "vertical_steps.csv"
+SURVEY_FILE = "survey.csv"
 PICTURES = "profile", "diagram", "factor"
 LONGEST_REASON = 200  # characters of an exception in a warning
 # files that not every run writes
 _OF_A_RUN = (
-    "summary.json", STEPS_FILE, *(f"{name}.{form}" for name in (*PICTURES, "comparison") for form in ("png", "svg")),
-    "*.gif", "*.mp4", f"{VTK_FOLDER}/*",
+    "summary.json", STEPS_FILE, SURVEY_FILE, "*.gif", "*.mp4", f"{VTK_FOLDER}/*",
+    *(f"{name}.{form}" for name in (*PICTURES, "comparison") for form in ("png", "svg")),
 )  # fmt: skip
 
 
@@ -102,6 +103,8 @@ def write_results(
     }
     if run.vertical_steps is not None:
         data[STEPS_FILE] = to_csv(VerticalStep._fields, run.vertical_steps)
+    if run.surveyed is not None:
+        data[SURVEY_FILE] = to_csv(SurveyLine._fields, zip(*(a.tolist() for a in run.surveyed), strict=True))
     place.remove(_OF_A_RUN)
     place.claim(*data, "summary.json", *(f"{name}.png" for name in PICTURES if plots))
     files = place.write(data)
@@ -222,7 +225,7 @@ def summary(run: Run) -> dict[str, Any]:
     if run.error_estimate is not None:
         content["error_estimate"] = run.error_estimate
     if run.units:
-        content["units"] = {name: getattr(run.units, name) for name in UNITS}
+        content["units"] = run.units.table
         content["units"]["volume_of_one"] = run.units.volume
     if run.account:
         content["account"] = run.account
@@ -280,7 +283,7 @@ def load_run(folder: str | Path) -> Run:
     try:
         arrays, attributes = read_profile(folder / "profile.nc")
         text = {name: attributes[name].decode() for name in ("method", "case", "status")}
-        units = Units(*(float(attributes[name]) for name in UNITS)) if UNITS[0] in attributes else None
+        units = Units.stored(attributes)
         content = json.loads((folder / "summary.json").read_text(encoding="utf-8"), parse_constant=_no_number)
         bounds = {name: _verdict(table) for name, table in content["bounds"].items()}
         cautions = len(content["warnings"]) - sum(not bound.holds for bound in bounds.values())
@@ -292,6 +295,7 @@ def load_run(folder: str | Path) -> Run:
             vertical_steps=_table(folder, STEPS_FILE, VerticalStep) if (folder / STEPS_FILE).exists() else None,
             eroded_volume=_number(content["eroded_volume"]), toe_outflow=_number(content["toe_outflow"]),
             crest_lowering=_number(content["crest_lowering"]), units=units,
+            surveyed=_survey_line(folder) if (folder / SURVEY_FILE).exists() else None,
             bounds=bounds, volume_budget_error=_number((content["volume_budget"] or {}).get("difference")),
             error_estimate=content.get("error_estimate"), account=content.get("account", ""),
             cautions=tuple(content["warnings"][:cautions]),  # the others state violated bounds
@@ -347,6 +351,17 @@ def _table(folder: Path, name: str, kind: type[_Row]) -> list[_Row]:
         return [kind(**{n: _OF_COLUMN.get(n, _float)(text) for n, text in row.items()}) for row in rows]
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
+
+
+def _survey_line(folder: Path) -> SurveyLine:
+    """Return the points of the survey of a stored run. Raise ValueError if the table holds other text."""
+    rows = np.genfromtxt(folder / SURVEY_FILE, delimiter=",", names=True, encoding="utf-8", ndmin=1)
+    if rows.dtype.names != SurveyLine._fields or rows.size < 2:
+        raise ValueError(f"{SURVEY_FILE} must have the columns {', '.join(SurveyLine._fields)} and at least 2 rows")
+    line = SurveyLine(*(rows[name] for name in SurveyLine._fields))
+    if not np.all(np.isfinite(line)):
+        raise ValueError(f"{SURVEY_FILE} holds a value that is not a finite number")
+    return line
 
 
 def _float(text: str) -> float:

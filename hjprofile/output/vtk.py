@@ -80,11 +80,12 @@ def _kinks(run: Run, i: int) -> pyvista.PolyData:
 
 def _sheet(run: Run) -> pyvista.RectilinearGrid:
     x, u, _ = _places(run, run.x, run.u)
-    mesh = pyvista.RectilinearGrid(x, run.time, np.zeros(1))
+    order = slice(None, None, 1 if x[0] < x[-1] else -1)  # the coordinates of such a grid increase
+    mesh = pyvista.RectilinearGrid(x[order], run.time, np.zeros(1))
     for axis, name in (("X", "x"), ("Y", "t"), ("Z", "z")):
         getattr(mesh, f"Get{axis}Coordinates")().SetName(name)  # VTK invents a missing name, a new one in each run
     for name, values in (("u", u), ("q", _at_nodes(run.q)), ("K", run.K)):
-        mesh.point_data[name] = np.ascontiguousarray(values).ravel()
+        mesh.point_data[name] = np.ascontiguousarray(values[:, order]).ravel()
     mesh.point_data.active_scalars_name = "q"
     return mesh
 

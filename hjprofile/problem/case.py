@@ -16,6 +16,7 @@ from hjprofile.problem import LONGEST_TITLE, Problem, coefficient, erosion, prof
 from hjprofile.problem.case_files import find_case, read_case
 from hjprofile.problem.coefficient import Coefficient
 from hjprofile.problem.erosion import ErosionLaw
+from hjprofile.problem.given import from_file
 from hjprofile.problem.grid import FEWEST_CELLS, Grid
 from hjprofile.problem.kinds import COUNT_OR_TIMES, NUMBER, POSITIVE, SWITCH, TABLE, TEXT, WHOLE
 from hjprofile.problem.profiles import TAIL, Profile
@@ -32,7 +33,7 @@ LAWS = Choices(Key("law", TEXT), erosion.rational, erosion.log, erosion.power, e
 LAYER = (Key("supply_flux", NUMBER, 0.0, check=number),)
 PROFILES = Choices(
     Key("kind", TEXT), profiles.Kinks, profiles.Bumps, profiles.steps, profiles.Points, profiles.Steady, survey,
-    profiles.from_file,
+    from_file,
 )  # fmt: skip
 COEFFICIENTS = Choices(
     Key("kind", TEXT), coefficient.from_expression, coefficient.from_file, coefficient.stored_coefficient

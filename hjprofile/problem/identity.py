@@ -15,7 +15,8 @@ from hjprofile.errors import InputError
 from hjprofile.problem.case import Case, resolved_case
 from hjprofile.problem.coefficient import Coefficient
 from hjprofile.problem.erosion import ErosionLaw
-from hjprofile.problem.profiles import Bumps, Given, Kinks, Points, Profile, Steady
+from hjprofile.problem.given import Given
+from hjprofile.problem.profiles import Bumps, Kinks, Points, Profile, Steady
 
 MOST_PLACES = 1000  # nodes at which a coefficient from a Python file is sampled
 TIMES = 9  # ... and times

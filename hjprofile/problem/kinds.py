@@ -57,6 +57,17 @@ def _read_list(value: Any) -> list[float]:
     return [_read_number(v) for v in _of_type(list)(value)]
 
 
+def _read_numbers(value: Any) -> list[float]:
+    return _read_list(value) if isinstance(value, list) else [_read_number(value)]
+
+
+def _read_columns(value: Any) -> list[str | int]:
+    columns = _of_type(list)(value)
+    if len(columns) not in (2, 3) or not all(type(c) in (str, int) for c in columns):
+        raise TypeError
+    return columns
+
+
 def _read_count_or_times(value: Any) -> int | list[float]:
     return _read_list(value) if isinstance(value, list) else _read_whole(value)
 
@@ -72,6 +83,8 @@ TEXT = Kind("a string", _of_type(str), str)
 STRIPPED = Kind("a string", _of_type(str), str.strip)
 SWITCH = Kind("true or false", _of_type(bool))
 LIST = Kind("a list of finite numbers", _read_list, lambda values: np.asarray(values, dtype=float).tolist())
+NUMBERS = Kind("a finite number or a list of them", _read_numbers)
+COLUMNS = Kind("a list of two names or numbers of columns (x, height), or of three (x, y, height)", _read_columns)
 COUNT_OR_TIMES = Kind("a whole number or a list of times", _read_count_or_times)
 TABLE = Kind("a table", _of_type(dict))
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from hjprofile.errors import InputError
 from hjprofile.problem.erosion import ErosionLaw
-from hjprofile.problem.profiles import TAIL, Bumps, Given, Kinks, Points, Profile, Steady
+from hjprofile.problem.given import Given
+from hjprofile.problem.profiles import TAIL, Bumps, Kinks, Points, Profile, Steady
 
 ABOUT = "the-whole-line"  # heading of the page on errors
 

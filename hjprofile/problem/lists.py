@@ -13,14 +13,16 @@ from hjprofile.problem.ranges import RANGES, as_number, read_only, shown
 Array = np.ndarray
 
 
-def numbers(name: str, values: Any, least: int = 1) -> Array:
-    """Return a read-only copy, shape (n,), n >= least. Raise InputError for fewer numbers, or any out of range."""
+def numbers(name: str, values: Any, least: int = 1, key: str = "") -> Array:
+    """Return a read-only copy, shape (n,), n >= least. Raise InputError for fewer numbers, or any out of the range of
+    `key` or `name`.
+    """
     array = as_numbers(values)
     if array is None:
         raise InputError(f"{name} = {shown(values)} must be a list of numbers")
     if array.ndim != 1 or array.size < least:
         raise InputError(f"{name} = {shown(values)} must be a list of at least {least} numbers")
-    allowed = RANGES[name]
+    allowed = RANGES[key or name]
     if not np.all(inside := allowed.holds(array)):
         i = int(np.argmin(inside))
         raise InputError(f"{name}[{i}] = {array[i]:g} must be {allowed.words}")

@@ -18,7 +18,7 @@ from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid, grid_from
 from hjprofile.problem.ranges import Array
 from hjprofile.problem.schema import Choice, choice
-from hjprofile.problem.units import Units
+from hjprofile.problem.units import SurveyLine, Units
 
 TAIL = 1e-6  # largest mass and slope that a grid may truncate on the left; the error of a method on a grid is larger
 kind = partial(choice, into="source")  # a decorator that declares the maker of a profile
@@ -31,13 +31,15 @@ class Profile:
         source: the `[profile]` table of a function that made this profile; empty if the class computes the table.
         inflow: the flux F that enters at the left end of a grid; 0 if q = 0 there.
         units: the units of a survey, else None.
-        account: a sentence on changes of the data, or "".
+        account: sentences on changes of the data in one line, or "".
+        surveyed: the points of a survey, else None.
     """
 
     choice: ClassVar[Choice]
     source: Mapping[str, Any] = MappingProxyType({})
     units: Units | None = None
     account: str = ""
+    surveyed: SurveyLine | None = None
 
     @property
     def table(self) -> Mapping[str, Any]:

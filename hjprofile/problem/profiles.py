@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hjprofile.errors import InputError
 from hjprofile.problem.erosion import ErosionLaw
-from hjprofile.problem.grid import Grid, grid_from, start_of
-from hjprofile.problem.kinds import LIST, NUMBER, TEXT
+from hjprofile.problem.grid import Grid
+from hjprofile.problem.kinds import LIST, NUMBER
 from hjprofile.problem.lists import above_minus_one, numbers, same_length, within
-from hjprofile.problem.paths import located
 from hjprofile.problem.profile_base import TAIL, Profile, kind
-from hjprofile.problem.ranges import Array, number, shown
-from hjprofile.problem.schema import table_of
-from hjprofile.problem.units import Units
-from hjprofile.problem.user_code import evaluating, load_function, values_at
+from hjprofile.problem.ranges import Array, number
+from hjprofile.problem.units import SurveyLine, Units
 
 GAUSS = np.polynomial.legendre.leggauss(16)
 
@@ -151,6 +147,7 @@ class Points(Profile):
     units: Units | None = None
     height: float = 0.0  # u - x on the left
     account: str = ""
+    surveyed: SurveyLine | None = None
 
     def __post_init__(self) -> None:
         x, q = numbers("x", self.x, 2), numbers("q", self.q, 2)
@@ -259,42 +256,6 @@ class Steady(Profile):
         h = np.diff(edges)
         at = edges[:-1, None] + 0.5 * h[:, None] * (1.0 + z)
         return np.cumsum(0.5 * h * (self.excess(at, law) @ weights))[back].reshape(x.shape)
-
-
-@dataclass(frozen=True, eq=False)
-class Given(Profile):
-    """A profile u(x) from a Python function; u_x = 1 (q = 0) left of the grid."""
-
-    u: Callable[[Any], Any]
-    source: Mapping[str, Any] = field(default_factory=dict)
-    content: str | None = None  # a hash of the file that holds u
-
-    def __post_init__(self) -> None:
-        if not callable(self.u):
-            raise InputError(f"u = {shown(self.u)} must be a function of x")
-
-    def start(self, tail: float = TAIL) -> float:
-        return np.nan  # unknown; `check` tests the first cell
-
-    def grid(self, cells: int = 2000, tail: float = TAIL) -> Grid:
-        return grid_from(start_of(lambda x: self.W(x, None), tail), cells)  # type: ignore[arg-type]
-
-    def check(self, grid: Grid, law: ErosionLaw) -> None:
-        with evaluating("the profile"):
-            q = self.q_means(grid, law)
-        if not np.all(np.isfinite(q)):
-            i = int(np.argmin(np.isfinite(q)))
-            raise InputError(f"the profile is not finite near x = {grid.centres[i]:.6g}")
-        self._check_rising(q, grid)
-        if abs(q[0]) > TAIL:
-            raise InputError(
-                f"the profile has q = {q[0]:.3g} at the left end x = {grid.left:g}; the slope must be neutral "
-                f"(u_x = 1, q = 0 to {TAIL:g}) there and further left"
-            )
-
-    @np.errstate(all="ignore")  # in unused branches of the function; `check` tests the values
-    def W(self, x: Array, law: ErosionLaw) -> Array:
-        return values_at(self.u, x) - x
 
 
 def kinks(positions: Sequence[float], amplitudes: Sequence[float]) -> Profile:
@@ -411,33 +372,3 @@ def steady(flux: float, kink: float | None = None) -> Profile:
     0.0
     """
     return Steady(flux, kink)
-
-
-def profile(u: Callable[[Any], Any]) -> Profile:
-    """Return a profile from a Python function.
-
-    Args:
-        u: the height, in exchange lengths times the neutral slope, at x <= 0 in exchange lengths, of arrays or of
-            single numbers (slower). u must rise, and have the neutral slope (u_x = 1) at and below the left end of the
-            grid.
-
-    Returns:
-        The profile. Its heights are checked when a run begins, which raises InputError if u does not rise.
-
-    Raises:
-        InputError: if u is not a function.
-
-    >>> import numpy as np
-    >>> import hjprofile as hj
-    >>> slope = hj.profile(lambda x: x + np.exp(-((x + 3.0) ** 2)) / 4.0)
-    >>> slope.grid(cells=400).cells
-    400
-    """
-    return Given(u, table_of(from_file, {"file": "", "function": getattr(u, "__name__", "u")}))
-
-
-@kind("python", file=TEXT, function=TEXT)
-def from_file(file: str | Path, function: str, base: Path | None = None) -> Profile:
-    """Return a profile from the function of that name in a Python file, which is run."""
-    loaded = load_function(located(base or Path(), file), function)
-    return Given(loaded.function, content=loaded.content)

@@ -170,20 +170,24 @@ class Choice:
 def choice(name: str, chooser: str = "kind", into: str = "table", **kinds: Kind) -> Callable[[Maker], Maker]:
     """Declare a function or a class as the maker of a choice, whose keys are its arguments with these kinds.
 
-    A key is optional if the argument has a default. The table of a case file that makes the object again is stored in
-    the
-    field `into` of the object that a function returns; a class computes it from its attributes.
+    A key is optional if the argument has a default, or is one of those that the function takes as `**named`. The table
+    of a case file that makes the object again is stored in the field `into` of the object that a function returns; a
+    class computes it from its attributes.
     """
 
     def declared(make: Maker) -> Maker:
         signature = inspect.signature(make)
         arguments = signature.parameters
-        keys = tuple(Key(key, kind, arguments[key].default) for key, kind in kinds.items())
+        further = [name for name, each in arguments.items() if each.kind is inspect.Parameter.VAR_KEYWORD]
+        defaults = {name: each.default for name, each in arguments.items()}
+        keys = tuple(Key(key, kind, defaults.get(key)) for key, kind in kinds.items())
 
         @wraps(make)
         def made(*args: Any, **named: Any) -> Any:
             found = make(*args, **named)
             bound = signature.bind(*args, **named).arguments
+            for name in further:
+                bound |= bound.pop(name, {})
             return replace(found, **{into: maker.choice.table(bound)})
 
         maker: Any = make if isinstance(make, type) else made

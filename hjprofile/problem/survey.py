@@ -1,240 +1,248 @@
-"""Surveyed slopes: heights from a CSV file, scaled, checked and repaired on request."""
+"""Surveyed slopes: measured heights of one flank, scaled, and repaired on request."""
 
 from __future__ import annotations
 
-import csv
-import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
 from hjprofile.errors import InputError
-from hjprofile.problem.heights import crest, falls_on_the_whole, without_height
-from hjprofile.problem.kinds import POSITIVE, TEXT
-from hjprofile.problem.paths import located, require_file
-from hjprofile.problem.profiles import Points, Profile, kind
-from hjprofile.problem.ranges import RANGES, Array, as_path, number, shown
-from hjprofile.problem.units import Units
+from hjprofile.problem.flank import Flank, one_flank, resampled, rising
+from hjprofile.problem.kinds import COLUMNS, LIST, NUMBER, NUMBERS, POSITIVE, TEXT
+from hjprofile.problem.paths import located
+from hjprofile.problem.profile_base import Profile, kind
+from hjprofile.problem.profiles import Points
+from hjprofile.problem.ranges import RANGES, Array, as_number, as_path, number, shown
+from hjprofile.problem.schema import REQUIRED
+from hjprofile.problem.survey_file import Measured, from_arrays, read_points, unit_named
+from hjprofile.problem.units import SurveyLine, Units
 
 REPAIR_SLOPE = 0.05  # smallest slope of a repaired survey, as a fraction of the critical slope
-# Largest move of a point by a repair, relative to the relief. Noise of 2 m moves points of the hillslope by 0.7 % of
-# its 652 m at most, noise of 5 m by 2 %. A point that moves by a tenth was mistyped or not measured.
-MOST_MOVED = 0.1
-MOST_ROWS = 5  # named in a message
-LONGEST_SHOWN = 60  # characters of a line in a message
-FAR = 3.0  # ratio of mean and critical slope, or its inverse, that is reported; a metre has 3.28 feet
-ABOUT = "a-survey"  # heading of the page on errors
-FORMAT = "the-file-of-a-survey"
-DOES_NOT_RISE = "a-survey-that-does-not-rise"
+# Ratios of mean and critical slope, or their inverses: one that is reported (a metre has 3.28 feet), and one that is
+# refused (a kilometre has 1000 metres).
+FAR, TOO_FAR = 3.0, 100.0
+FEET = 1 / 0.3048
+STEEPEST = 5.0  # critical slope above which it is probably an angle in degrees: 79 degrees
+ABOUT = "a-survey"
+UNITS_DIFFER = "feet-degrees-and-mixed-units"
+
+# How the points of a survey are read and prepared
+Reading = TypedDict(
+    "Reading",
+    {
+        "columns": "Sequence[str | int] | None",
+        "nodata": "float | Sequence[float] | None",
+        "unit": "str | None",
+        "uphill": "str | None",
+        "from": "float | None",
+        "to": "float | None",
+        "resample": "float | None",
+        "repair_limit": "float | None",
+    },
+    total=False,
+)
 
 
-@kind("survey", file=TEXT, critical_slope=POSITIVE, length=POSITIVE, repair=TEXT)
+@kind(
+    "survey", file=TEXT, x=LIST, height=LIST, critical_slope=POSITIVE, length=POSITIVE, repair=TEXT,
+    repair_limit=POSITIVE, columns=COLUMNS, nodata=NUMBERS, unit=TEXT, uphill=TEXT, resample=POSITIVE,
+    to=NUMBER, **{"from": NUMBER},  # type: ignore[arg-type]
+)  # fmt: skip
 @np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks reject
 def survey(
-    file: str | Path, critical_slope: float, length: float, repair: str | None = None, base: Path | None = None
-) -> Profile:
-    """Return the profile of a surveyed slope, linear between its points, with the neutral slope left of the first.
+    file: str | Path | None = None, critical_slope: float = REQUIRED, length: float = REQUIRED,
+    repair: str | None = None, base: Path | None = None, *, x: Sequence[float] | None = None,
+    height: Sequence[float] | None = None, **reading: Unpack[Reading],
+) -> Profile:  # fmt: skip
+    """Return the profile of a surveyed slope, linear between its points, with the neutral slope below its toe.
 
-    The last point becomes the origin.
+    The crest becomes the origin.
 
     Args:
-        file: a CSV file with the header `x,height`; x increases uphill, in the unit of the survey.
+        file: a file of points in any of the usual notations (`read_survey`).
         critical_slope: the neutral slope, height over length, positive.
-        length: the exchange length, in the unit of the survey, positive. x is divided by it, heights by it and by
-            `critical_slope`.
+        length: the exchange length, in the unit of the survey, positive. Distances are divided by it, heights by it and
+            by `critical_slope`.
         repair: "isotonic" replaces a survey that falls by the nearest heights (least squares) that rise everywhere by
             at least 0.05 of the critical slope; None rejects such a survey.
         base: the folder to which `file` is relative.
+        x, height: the points as arrays, shape (n,), n >= 2, in the place of a file; NaN is a missing height.
+        reading: `columns`: names, or numbers from 1 on, of the columns of x and height, or of x, y and height.
+            `nodata`: a number or numbers that stand for a missing height. `unit`: name of the unit of length, for
+            labels. `uphill`: "left" or "right", the side of the crest, by default found from the heights. `from`, `to`:
+            the stretch of x that is used. `resample`: the spacing of new points, each the result of a least-squares
+            fit, which smooths. `repair_limit`: the largest move of a height by a repair.
 
     Returns:
-        The profile, with `units` for the way back to the survey.
+        The profile. `units` is the way back to the survey, `surveyed` are its points, and `account` states what was
+        done to them.
 
     Raises:
-        InputError: if the survey falls and is not repaired, if a repair would move a height by more than 0.1 of the
-            relief, if the crest is at the left, or if the file holds no survey.
+        InputError: if the survey falls and is not repaired, if a repair moves a height by more than its limit, if the
+            survey has two flanks, if its mean slope differs from the critical one by a factor of more than 100, or if
+            the file holds no survey.
 
     >>> import hjprofile as hj
     >>> file = hj.shipped_cases()["hillslope"].parent / "hillslope.csv"
     >>> slope = hj.survey(file, critical_slope=0.257, length=200.0, repair="isotonic")
     >>> round(slope.start(), 2)
     -12.68
+    >>> hj.survey(x=[0.0, 10.0, 20.0], height=[3.0, 5.0, 9.0], critical_slope=0.3, length=5.0, unit="m").start()
+    -4.0
     """
+    for key, value in (("critical_slope", critical_slope), ("length", length)):
+        if value is REQUIRED:
+            raise InputError(f"{key} is missing; it must be {RANGES[key].words}", ABOUT)
     critical_slope, length = number("critical_slope", critical_slope, ABOUT), number("length", length, ABOUT)
-    if not (repair is None or (isinstance(repair, str) and repair == "isotonic")):
-        raise InputError(f"repair = {shown(repair)} is not known; allowed is 'isotonic'", ABOUT)
-    x, height, rows = read_survey(located(base or Path(), as_path("file", file)))
-    least = REPAIR_SLOPE * critical_slope if repair else 0.0
-    falls = np.flatnonzero(np.diff(height) <= least * np.diff(x))
-    _check_that_it_rises(str(file), x, height, rows, falls, repair is not None)
-    account = ""
-    if falls.size:
-        height, account = _repaired(str(file), x, height, rows, least)
-    units = Units(length, critical_slope, float(x[-1]), float(height[-1]))
-    xi = (x - x[-1]) / length
-    u = (height - height[-1]) / (length * critical_slope)
+    _check_options(repair, reading)
+    name, points = _points(file, x, height, base, reading)
+    flank = one_flank(name, points, reading.get("uphill"), reading.get("from"), reading.get("to"))
+    _check_units(flank, critical_slope)
+    spacing = reading.get("resample")
+    used = resampled(flank, spacing) if spacing is not None else flank
+    used = rising(used, REPAIR_SLOPE * critical_slope, repair is not None, reading.get("repair_limit"))
+    xi = (used.s - used.s[-1]) / length
+    u = (used.height - used.height[-1]) / (length * critical_slope)
     q = np.diff(u) / np.diff(xi) - 1.0
     if not (np.all((q > -1.0) & (q <= RANGES["q"].most)) and RANGES["x"].holds(xi[0])):
         raise InputError(
-            f"file = {str(file)!r} divided by length = {length:g} and critical_slope = {critical_slope:g} leaves the "
-            "range of numbers",
+            f"{name} divided by length = {length:g} and critical_slope = {critical_slope:g} leaves the range of "
+            "numbers",
             ABOUT,
         )
-    mean = float(np.ptp(height) / np.ptp(x))
-    if not 1 / FAR < mean / critical_slope < FAR:
-        account += (
-            f"{'; ' if account else ''}the mean slope {mean:.3g} is {mean / critical_slope:.3g} times the critical "
-            "slope; check that x and height have the same unit, and that critical_slope is height over length, not "
-            "an angle"
-        )
-    return Points(np.repeat(xi, 2)[1:-1], np.repeat(q, 2), units=units, height=float(u[0] - xi[0]), account=account)
-
-
-def _check_that_it_rises(file: str, x: Array, height: Array, rows: Sequence[int], falls: Array, repaired: bool) -> None:
-    """Raise InputError if a survey passes a crest, has its crest at the left, or falls without a repair."""
-    if (top := crest(height)) is not None:
-        raise InputError(
-            f"file = {file!r} passes its crest in row {rows[top]} (x = {x[top]:g}), but a case has one flank; keep "
-            f"rows {rows[0]} to {rows[top]}, or mirror rows {rows[top]} to {rows[-1]} (write -x for x, and the last "
-            "row first)",
-            DOES_NOT_RISE,
-        )
-    upside_down = falls_on_the_whole(height) and np.argmax(height) < height.size // 2
-    if not falls.size or (repaired and not upside_down):
-        return
-    pairs = ", ".join(f"{rows[i]}-{rows[i + 1]}" for i in falls[:MOST_ROWS])
-    pairs += ", ..." if falls.size > MOST_ROWS else ""
-    if upside_down:
-        remedy = "this one has its crest at the left, so mirror it (write -x for x, and the last row first)"
-    else:
-        most = np.max(np.abs(np.diff(height)[falls]))
-        course = f"falls there by up to {most:.6g}" if most > 0.0 else "is flat there"
-        remedy = f"this one {course} (correct it, or set repair = 'isotonic')"
-    raise InputError(
-        f"file = {file!r} does not rise in rows {pairs}; a survey must rise from left to right, and {remedy}",
-        DOES_NOT_RISE,
+    top = used.x[-1], used.height[-1]
+    units = Units(length, critical_slope, float(top[0]), float(top[1]), points.unit, flank.direction)
+    line = SurveyLine(flank.x, flank.height, np.interp(flank.s, used.s, used.height))
+    account = "; ".join([*used.account, *_unlikely(flank, critical_slope)])
+    return Points(
+        np.repeat(xi, 2)[1:-1], np.repeat(q, 2), units=units, height=float(u[0] - xi[0]), account=account, surveyed=line
     )
 
 
-def _repaired(file: str, x: Array, height: Array, rows: Sequence[int], least: float) -> tuple[Array, str]:
-    """Return the nearest rising heights, and an account of them. Raise InputError if a height would move too far."""
-    repaired = nearest_rising(x, height, least)
-    moved = np.abs(repaired - height)
-    far = moved > MOST_MOVED * np.ptp(repaired)
-    if far.any():
-        i = _farthest_off(height, moved, far)
-        raise InputError(
-            f"file = {file!r} row {rows[i]}: repair = 'isotonic' would move its height of {height[i]:g} by "
-            f"{moved[i]:.5g}, more than a tenth of the relief; correct or delete that row",
-            DOES_NOT_RISE,
-        )
-    rounding = 1e-9 * (np.ptp(height) + least * np.ptp(x))
-    account = (
-        f"survey repaired: {np.count_nonzero(moved > rounding)} of {x.size} points moved, "
-        f"by {moved.max():.3g} at most and {np.sqrt(np.mean(moved**2)):.3g} on average (r.m.s.)"
-    )
-    return repaired, account
+def read_survey(
+    file: str | Path, columns: Sequence[str | int] | None = None, nodata: float | Sequence[float] | None = None
+) -> tuple[Array, Array, list[int]]:
+    """Read the points of a survey from a text file.
 
-
-def nearest_rising(x: Array, height: Array, least: float) -> Array:
-    """Return the nearest heights, by least squares, that rise everywhere by slightly more than the slope `least`."""
-    from scipy.optimize import isotonic_regression
-
-    tilt = (1 + 1e-9) * least * (x - x[-1])  # the factor keeps the slope above `least` after rounding
-    return isotonic_regression(height - tilt).x + tilt
-
-
-def _farthest_off(height: Array, moved: Array, far: Array) -> int:
-    """Return the index of the wrong height among the points that are `far` off; a wrong height also moves its
-    neighbours.
-
-    It is the one that moves farthest and lies farthest beyond the heights that stay.
-    """
-    beyond = np.zeros_like(height)
-    if not far.all():
-        stay = height[~far]
-        beyond = np.abs(height - np.clip(height, stay.min(), stay.max()))
-    return int(np.argmax(np.where(far, moved + beyond, 0.0)))
-
-
-@np.errstate(all="ignore")
-def read_survey(file: str | Path) -> tuple[Array, Array, list[int]]:
-    """Read a survey from a CSV file with the header `x,height`.
+    Separators (comma, semicolon, tab, bar, blanks), decimal commas, thousands, encodings (UTF-8, UTF-16, Latin-1),
+    comments, headers, further columns, missing heights, and descending or repeated x are recognised.
 
     Args:
-        file: the path of the file; its header is row 1, lines that begin with # are comments.
+        file: the path of the file.
+        columns: names, or numbers from 1 on, of the columns of x and height, or of x, y and height, of which the first
+            two give the distance along the line; by default found from the header and the content.
+        nodata: a number or numbers that stand for a missing height, besides the common ones.
 
     Returns:
-        x, increasing, and height, both of shape (n,) in the unit of the survey, and the list of their rows.
+        x, increasing, and height, both of shape (n,) in the unit of the survey, and the list of their rows; the first
+        line of the file is row 1.
 
     Raises:
-        InputError: with the row that is at fault.
+        InputError: with the rows that are at fault.
 
     >>> import hjprofile as hj
     >>> x, height, rows = hj.read_survey(hj.shipped_cases()["hillslope"].parent / "hillslope.csv")
     >>> x.shape == height.shape == (len(rows),)
     True
     """
-    file = as_path("file", file)
-    require_file(file)
-    try:
-        with open(file, newline="", encoding="utf-8-sig") as stream:
-            text = list(stream)
-        reader = csv.reader(text)
-        lines = [
-            (n, row, text[reader.line_num - 1].strip()[:LONGEST_SHOWN])
-            for n, row in enumerate(reader, start=1)
-            if row and row[0].strip()[:1] != "#"
-        ]
-    except (OSError, csv.Error) as error:
-        raise InputError(f"file = {str(file)!r} cannot be read as CSV: {error}", ABOUT) from None
-    except ValueError as error:
-        message = f"file = {str(file)!r} cannot be read as CSV: {error}; save it as text in UTF-8"
-        raise InputError(message, FORMAT) from None
-    if not lines or [c.strip() for c in lines[0][1]] != ["x", "height"]:
-        found = lines[0][2] if lines else "nothing"
-        message = f"file = {str(file)!r} must begin with the header 'x,height', not {found!r}"
-        raise InputError(f"{message}; {_what_a_header_is(found)}", FORMAT)
-    rows: list[int] = []
-    values: list[tuple[float, float]] = []
-    for n, row, line in lines[1:]:
-        try:
-            x, height = (float(c) for c in row)
-        except ValueError:
-            message = (
-                f"file = {str(file)!r} row {n}: {line!r} must be two numbers (a comma between them, points for "
-                "decimals, no separator for thousands, no unit; omit a row without a height)"
-            )
-            raise InputError(message, FORMAT) from None
-        if not (np.isfinite(x) and np.isfinite(height)):
-            message = f"file = {str(file)!r} row {n}: {line!r} must be finite; omit rows without a measurement"
-            raise InputError(message, FORMAT)
-        if values and x <= values[-1][0]:
-            raise InputError(
-                f"file = {str(file)!r} row {n}: x = {x:g} must be greater than the x = {values[-1][0]:g} before it; "
-                "sort the rows by x, and keep one height per x",
-                "a-survey-whose-x-does-not-increase",
-            )
-        rows.append(n)
-        values.append((x, height))
-    if len(values) < 2:
-        raise InputError(f"file = {str(file)!r} has {len(values)} points; a survey needs at least 2", ABOUT)
-    x, height = np.array(values).T
-    if (none := without_height(x, height)).any():
-        which = [row for row, missing in zip(rows, none, strict=True) if missing]
-        more = f", ... ({len(which)} in all)" if len(which) > MOST_ROWS else ""
+    reading: Reading = {"columns": columns, "nodata": nodata}
+    _check_options(None, reading)
+    points = _points(file, None, None, None, reading)[1]
+    return points.x, points.height, points.rows
+
+
+def _points(file: Any, x: Any, height: Any, base: Path | None, reading: Reading) -> tuple[str, Measured]:
+    """Return the points of a file or of two arrays, and their name in messages. Raises InputError."""
+    nodata = np.atleast_1d(np.array([] if reading.get("nodata") is None else reading.get("nodata"), dtype=float))
+    unit = reading.get("unit")
+    if file is None and x is None and height is None:
+        raise InputError("file is missing; it must be a file of points; in its place x and height may be given", ABOUT)
+    if file is not None and not (x is None and height is None):
+        raise InputError("a survey needs either a file, or x and height", ABOUT)
+    if file is None:
+        return "the survey", from_arrays(x, height, nodata, unit or "")
+    path = located(base or Path(), as_path("file", file))
+    name = f"file = {str(path)!r}"
+    points = read_points(path, reading.get("columns"), nodata)
+    stated, found = unit_named(unit or ""), unit_named(points.unit)
+    if stated and found and stated != found:
         raise InputError(
-            f"file = {str(file)!r} row{'s' * (len(which) > 1)} {', '.join(map(str, which[:MOST_ROWS]))}{more}: "
-            f"{height[none][0]:g} is not a measured height; delete these rows, or correct them",
-            FORMAT,
+            f"{name} is in {found} according to its header, and unit = {unit!r}; correct one of them", UNITS_DIFFER
         )
-    return x, height, rows
+    return name, points._replace(unit=unit or found)
 
 
-def _what_a_header_is(found: str) -> str:
-    """Return a guess at the fault of a header."""
-    if re.search(r"[;\t]", found):
-        return "columns are separated by commas, and decimals have a point"
-    if re.search(r"\b(m|km|ft|feet|foot|in|yd|metres?|meters?)\b", found.replace("_", " ")):
-        return "the header must not name a unit; x, height and length may have any unit, but the same one"
-    return "x is the horizontal distance, increasing uphill, and height the elevation, in the same unit"
+def _check_options(repair: Any, reading: Reading) -> None:
+    """Raise InputError with all options that are out of range."""
+    faults = []
+    known = Reading.__annotations__
+    for name in reading:
+        if name not in known:
+            faults.append(f"{name} is not an option of a survey (allowed: {', '.join(known)})")
+    for name, value, allowed in (
+        ("repair", repair, ("isotonic",)),
+        ("uphill", reading.get("uphill"), ("left", "right")),
+    ):
+        if value is not None and not (isinstance(value, str) and value in allowed):
+            faults.append(f"{name} = {shown(value)} is not known; allowed is {' or '.join(map(repr, allowed))}")
+    for name in ("from", "to", "resample", "repair_limit"):
+        value = reading.get(name)
+        least = -np.inf if name in ("from", "to") else 0.0
+        if value is not None and not (np.isfinite(as_number(value)) and as_number(value) > least):
+            kind_of = "a finite number" if least < 0.0 else "a positive number"
+            faults.append(f"{name} = {shown(value)} must be {kind_of}")
+    for name, wanted in (("columns", COLUMNS), ("nodata", NUMBERS), ("unit", TEXT)):
+        value = reading.get(name)
+        try:
+            wanted.read(list(value) if isinstance(value, (tuple, np.ndarray)) else value) if value is not None else None
+        except (TypeError, ValueError):
+            faults.append(f"{name} = {shown(value)} must be {wanted.words}")
+    if faults:
+        raise InputError.of([InputError(fault, ABOUT) for fault in faults])
+
+
+def _slopes(flank: Flank, critical_slope: float) -> tuple[float, float]:
+    """Return the mean slope of a survey, and its ratio to the critical slope."""
+    mean = float(np.ptp(flank.height) / np.ptp(flank.s))
+    return mean, mean / critical_slope
+
+
+def _check_units(flank: Flank, critical_slope: float) -> None:
+    """Raise InputError if the mean slope is not of the size of the critical slope."""
+    mean, ratio = _slopes(flank, critical_slope)
+    if not 1 / TOO_FAR < ratio < TOO_FAR:
+        raise InputError(
+            f"{flank.name} has the mean slope {mean:.3g}, {ratio:.3g} times critical_slope = {critical_slope:g}; "
+            f"{_cause(ratio, critical_slope)}",
+            UNITS_DIFFER,
+        )
+
+
+def _unlikely(flank: Flank, critical_slope: float) -> list[str]:
+    """Return a sentence on a mean slope that is far from the critical slope."""
+    mean, ratio = _slopes(flank, critical_slope)
+    if 1 / FAR < ratio < FAR:
+        return []
+    return [
+        f"the mean slope {mean:.3g} is {ratio:.3g} times the critical slope {critical_slope:g}; "
+        f"{_cause(ratio, critical_slope)}"
+    ]
+
+
+def _cause(ratio: float, critical_slope: float) -> str:
+    """Return the likely cause of a ratio of mean and critical slope far from 1."""
+    if critical_slope > STEEPEST:
+        return (
+            f"critical_slope is height over length, not an angle: for {critical_slope:g} degrees it is "
+            f"{np.tan(np.radians(critical_slope)):.3g}"
+        )
+    for factor, one, other in ((FEET, "feet", "metres"), (1000.0, "metres", "kilometres"), (100.0, "cm", "metres")):
+        for high, x_unit, height_unit in ((ratio, other, one), (1 / ratio, one, other)):
+            if 1 / FAR < high / factor < FAR:
+                return (
+                    f"probably x is in {x_unit} and height in {height_unit}; both must have the same unit, and "
+                    "critical_slope is height over length"
+                )
+    return "check that x and height have the same unit, and that critical_slope is height over length, not an angle"

@@ -8,14 +8,16 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hjprofile.errors import InputError
 from hjprofile.problem.heights import without_height
+from hjprofile.problem.lists import as_numbers, same_length
 from hjprofile.problem.paths import require_file
-from hjprofile.problem.ranges import Array
+from hjprofile.problem.ranges import Array, shown
 
 ABOUT = "an-imported-survey"
 MOST_ROWS = 5  # that a message names
@@ -33,12 +35,12 @@ LENGTHS = {"m": 1.0, "metre": 1.0, "meter": 1.0, "metres": 1.0, "meters": 1.0, "
 LENGTHS |= {"ft": 0.3048, "feet": 0.3048, "foot": 0.3048, "yd": 0.9144, "mi": 1609.344}
 
 
-class Points(NamedTuple):
+class Measured(NamedTuple):
     """The points of a file, x increasing.
 
     Attributes:
         x, height: shape (points,), in the units of the file.
-        rows: the row of the file of each point; the first line of the file is row 1.
+        rows: the row of each point in its file, whose first line is row 1, or its index in an array.
         unit: the unit of length that the header names, or "".
         account: one line on everything that was done to the file, or "" if nothing was.
     """
@@ -58,7 +60,7 @@ class Row(NamedTuple):
     cells: list[str]
 
 
-def read_points(file: Path, columns: Sequence[str | int] | None = None, nodata: Sequence[float] = ()) -> Points:
+def read_points(file: Path, columns: Sequence[str | int] | None = None, nodata: ArrayLike = ()) -> Measured:
     """Return the points of a file of measured heights.
 
     Args:
@@ -78,16 +80,19 @@ def read_points(file: Path, columns: Sequence[str | int] | None = None, nodata: 
     comma = _decimal_comma(body, separator)
     chosen, names = _columns(file, headers, body, columns)
     values, numbers, gaps, faults = _values(body, chosen, comma)
-    faults = [row for row in _below_names(headers, names) if not _only_units(row)] + faults
+    below = _below_names(headers, names)
+    faults = [row for row in below if not _only_units(row)] + faults
     if faults:
-        shown = "; ".join(f"row {row.number}: {row.line[:LONGEST_SHOWN]!r}" for row in faults[:MOST_ROWS])
+        named = "; ".join(f"row {row.number}: {row.line[:LONGEST_SHOWN]!r}" for row in faults[:MOST_ROWS])
         more = f"; {len(faults) - MOST_ROWS} more" if len(faults) > MOST_ROWS else ""
         raise InputError(
-            f"file = {str(file)!r} has {len(faults)} rows without numbers in the columns {', '.join(names)}: {shown}"
-            f"{more}; correct or delete these rows",
+            f"file = {str(file)!r} has {len(faults)} row{'s' * (len(faults) > 1)} without numbers in the columns "
+            f"{', '.join(names)}: {named}{more}; correct or delete these rows",
             ABOUT,
         )
-    unit = _unit(file, [headers[-1].cells[i] for i in chosen] if headers else [])
+    beneath = [[cell for row in below for cell in row.cells[i : i + 1]] for i in chosen]
+    units = [" ".join([name, *cells]) for name, cells in zip(names, beneath, strict=True)]
+    unit = _unit(file, units)
     notes = [f"separated by {SEPARATORS[separator]}"] if separator != "," else []
     notes += ["decimal commas"] * comma + [encoding] * bool(encoding)
     notes += [f"columns {' and '.join(names)}"] if len(chosen) > 2 or len(body[0].cells) > 2 else []
@@ -95,7 +100,31 @@ def read_points(file: Path, columns: Sequence[str | int] | None = None, nodata: 
         along = np.hypot(*np.diff(values[:, :2], axis=0).T)
         values = np.column_stack([np.append(0.0, np.cumsum(along)), values[:, 2]])
         notes.append("x is the distance along the line")
-    return _in_order(file, values, numbers, gaps, np.asarray(nodata, dtype=float), unit, notes)
+    return _in_order(f"file = {str(file)!r}", file.name, values, numbers, gaps, nodata, unit, notes)
+
+
+def from_arrays(x: Any, height: Any, nodata: ArrayLike = (), unit: str = "") -> Measured:
+    """Return points given as two lists of numbers; NaN is a missing height. Raises InputError."""
+    arrays = as_numbers(x), as_numbers(height)
+    for name, given, array in (("x", x, arrays[0]), ("height", height, arrays[1])):
+        if array is None or array.ndim != 1:
+            raise InputError(f"{name} = {shown(given)} must be a list of numbers", ABOUT)
+    a, b = arrays
+    assert a is not None and b is not None
+    same_length(x=a, height=b)
+    if not np.isfinite(a).all():
+        i = int(np.argmin(np.isfinite(a)))
+        raise InputError(f"x[{i}] = {a[i]:g} must be a finite number", ABOUT)
+    gap = ~np.isfinite(b)
+    rows = np.flatnonzero(~gap).tolist()
+    values = np.column_stack([a, b])[~gap]
+    return _in_order("the survey", "the survey", values, rows, int(gap.sum()), nodata, unit, [])
+
+
+def unit_named(name: str) -> str:
+    """Return the short name of a unit of length: m for metres; a name that is not known, as it is."""
+    factor = LENGTHS.get(name.strip().lower())
+    return name.strip() if factor is None else next(short for short, value in LENGTHS.items() if value == factor)
 
 
 def _decoded(file: Path) -> tuple[str, str]:
@@ -238,7 +267,7 @@ def _columns(
 def _below_names(headers: list[Row], names: list[str]) -> list[Row]:
     """Return the rows between that of the names and the first with numbers."""
     named = next((i for i, row in enumerate(headers) if set(names) <= set(row.cells)), len(headers))
-    return headers[named + 1 :]
+    return [row for row in headers[named + 1 :] if row.cells]
 
 
 def _only_units(row: Row) -> bool:
@@ -314,11 +343,15 @@ def _units_in(name: str) -> Iterator[str]:
 
 
 def _in_order(
-    file: Path, values: Array, numbers: list[int], gaps: int, nodata: Array, unit: str, notes: list[str]
-) -> Points:
-    """Return points with increasing x: sorted, without missing heights, repeated x with their mean height."""
+    name: str, short: str, values: Array, numbers: list[int], gaps: int, nodata: ArrayLike, unit: str,
+    notes: list[str],
+) -> Measured:  # fmt: skip
+    """Return points with increasing x: sorted, without missing heights, repeated x with their mean height.
+
+    `name` is the description of the survey in messages, `short` that in the account.
+    """
     rows = np.array(numbers, dtype=int)
-    sound = ~np.isin(values[:, 1], nodata)
+    sound = ~np.isin(values[:, 1], np.asarray(nodata, dtype=float))
     values, rows, gaps = values[sound], rows[sound], gaps + int(np.count_nonzero(~sound))
     if np.all(np.diff(values[:, 0]) <= 0.0) and len(values) > 1 and values[0, 0] > values[-1, 0]:
         values, rows = values[::-1], rows[::-1]
@@ -333,9 +366,10 @@ def _in_order(
         notes.append(f"{gaps} row{'s' * (gaps > 1)} without a height left out")
     x, first, count = np.unique(values[:, 0], return_index=True, return_counts=True)
     if x.size < 2:
-        raise InputError(f"file = {str(file)!r} has {x.size} points; a survey needs at least 2", ABOUT)
+        found = f"{x.size} point{'s' * (x.size != 1)}" + (f" with a height, and {gaps} without" if gaps else "")
+        raise InputError(f"{name} has {found}; a survey needs at least 2", ABOUT)
     height = np.add.reduceat(values[:, 1], first) / count
     if repeated := int(np.sum(count - 1)):
         notes.append(f"{repeated} repeated x, heights averaged")
-    account = f"{file.name}: {x.size} points; {', '.join(notes)}" if notes else ""
-    return Points(x, height, rows[first].tolist(), unit, account)
+    account = f"{short}: {x.size} points; {', '.join(notes)}" if notes else ""
+    return Measured(x, height, rows[first].tolist(), unit, account)

@@ -11,7 +11,7 @@ import numpy as np
 import hjprofile
 from hjprofile.problem.case import to_toml
 from hjprofile.problem.ranges import read_only
-from hjprofile.problem.units import Units
+from hjprofile.problem.units import SurveyLine, Units
 from hjprofile.solvers.stop import ROBUST_METHOD, Place, Reason, Stop, Time
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ FIELDS: dict[str, tuple[tuple[str, ...], dict[str, str]]] = {  # name -> dimensi
     "q": (("time", "cell"), {"long_name": "excess slope du/dx - 1, mean over the cell", "units": "1"}),
     "K": (("time", "node"), {"long_name": "grain flux relative to the supply", "units": "1"}),
 }
-UNITS = ("length", "critical_slope", "x_top", "height_top")
 
 
 class State(NamedTuple):
@@ -208,6 +207,7 @@ class Run:
         volume_budget_error: largest difference over the run between the eroded volume and ∫(K(left) - 1) dt.
         error_estimate: of sup|u - u_exact| over all saved times, if the method provides one, else None.
         units: conversion to the units of a survey, else None.
+        surveyed: the points of the survey, else None.
         account: changes of the input, and the choice of the method auto with its reason, or "".
         cautions: a sentence for each reason, other than a violated bound, to doubt the result: data that the grid or
             the fronts do not resolve, a tolerance that is not met, an output that could not be written.
@@ -236,6 +236,7 @@ class Run:
     volume_budget_error: float = np.nan
     error_estimate: float | None = None
     units: Units | None = None
+    surveyed: SurveyLine | None = None
     account: str = ""
     cautions: Sequence[str] = ()
     stop: Stop | None = None
@@ -276,7 +277,7 @@ class Run:
         """Global attributes of `profile.nc` and `to_xarray`: title, method, status, case as TOML, units of a survey."""
         text = {"Conventions": "CF-1.8", "title": self.title, "method": self.method, "status": self.status}
         text |= {"case": to_toml(self.case), "hjprofile_version": hjprofile.__version__}
-        return text | ({name: getattr(self.units, name) for name in UNITS} if self.units else {})
+        return text | (self.units.table if self.units else {})
 
     def to_xarray(self) -> xarray.Dataset:
         """Return an `xarray.Dataset` of u, q and K, as `xarray` reads it from `profile.nc`.

@@ -166,5 +166,6 @@ def assembled(
         crest_lowering=float(solution.totals[CREST_LOWERING]),
         volume_budget_error=watch.budget_error,
         units=problem.profile.units,
+        surveyed=problem.profile.surveyed,
         account=problem.profile.account,
     )

@@ -100,6 +100,7 @@ class Units:
             volume_budget_error=run.volume_budget_error * length**2,
             error_estimate=None if run.error_estimate is None else run.error_estimate * length,
             units=problem.profile.units,
+            surveyed=problem.profile.surveyed,
             account=problem.profile.account,
         )  # fmt: skip
 

@@ -19,8 +19,8 @@ from hjprofile.problem.case import Case, load_case, resolved_case
 from hjprofile.problem.heights import HIGHEST, without_height
 from hjprofile.problem.lists import as_numbers
 from hjprofile.problem.paths import located
-from hjprofile.problem.profiles import Units
 from hjprofile.problem.ranges import number, plain, shown
+from hjprofile.problem.units import Units
 from hjprofile.solvers.front_tracking import heights_at_end
 from hjprofile.solvers.method import Feature, require, requirements
 from hjprofile.solvers.methods import METHODS
@@ -146,12 +146,12 @@ class _Model:
         changed = self.overrides(z) | ({} if end is None else {"time.end": end})
         case = load_case(self.path, changed)
         units = case.problem.profile.units or self.units
-        place = np.clip((x - units.x_top) / units.length, case.grid.left, 0.0)
+        place = np.clip(units.place(x), case.grid.left, 0.0)
         return units.height(heights_at_end(case.problem, case.grid.left, place, fronts or FRONTS))
 
     def before(self, x: Array) -> Array:
         """Return the heights of the case's own profile at x, in the survey's units."""
-        place = np.minimum((x - self.units.x_top) / self.units.length, 0.0)
+        place = np.minimum(self.units.place(x), 0.0)
         return self.units.height(place + self.first.problem.profile.W(place, self.first.problem.law))
 
     def residuals(self, z: Array, x: Array, measured: Array) -> Array:
@@ -290,8 +290,9 @@ def _on_the_slope(model: _Model, x: Array, height: Array) -> tuple[Array, Array,
         i = int(np.argmax(none))
         raise InputError(f"the survey after has {height[i]:g} at x = {x[i]:g}, which is not a measured height; omit it")
     begin = model.first.problem.profile.start() if model.surveyed else model.first.grid.left
-    last = float(model.units.x(0.0))
-    first = last - float(f"{last - float(model.units.x(begin)):.9g}")  # without rounding: 0 is printed as 0
+    crest = float(model.units.x(0.0))
+    toe = crest - float(f"{crest - float(model.units.x(begin)):.9g}")  # without rounding: 0 is printed as 0
+    first, last = min(toe, crest), max(toe, crest)
     hair = 1e-9 * (last - first)  # the ends have been divided by the length and multiplied again
     on = (x >= first - hair) & (x <= last + hair)
     if np.count_nonzero(on) <= len(model.names):

@@ -22,10 +22,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hjprofile.errors import InputError, RunError
-from hjprofile.problem import Problem, profiles
+from hjprofile.problem import Problem
 from hjprofile.problem.case import DEFAULT_CFL
 from hjprofile.problem.coefficient import Coefficient, tabulated
 from hjprofile.problem.erosion import ErosionLaw
+from hjprofile.problem.given import profile
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.ranges import instance
 from hjprofile.solvers.method import Feature, require, requirements
@@ -177,7 +178,7 @@ class _Study:
     def from_means(self, q: Array) -> Problem:
         """Return the problem with the cell means q."""
         nodes, W = self.grid.nodes, np.append(0.0, np.cumsum(q) * self.grid.dx)
-        return replace(self.problem, profile=profiles.profile(lambda x: x + np.interp(x, nodes, W)))
+        return replace(self.problem, profile=profile(lambda x: x + np.interp(x, nodes, W)))
 
     def disturbance(self, size: float) -> Array:
         """Return a random piecewise constant function with the L1 norm `size`, limited so that 1 + q > 0.

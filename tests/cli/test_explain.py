@@ -22,8 +22,8 @@ def test_headings_are_listed(call):
 def test_a_section_is_printed(call, words):
     code, out, err = call("explain", *words)
     assert (code, err) == (0, "") and out.startswith("A survey\n\n")
-    assert "`file = '...' has ... points; a survey needs at least 2`" in out
-    assert "More: `hjprofile explain the-file-of-a-survey`" in out and "](" not in out and "<!--" not in out
+    assert "`a survey needs either a file, or x and height`" in out
+    assert "`hjprofile explain the-stretch-of-a-survey`" in out and "](" not in out and "<!--" not in out
 
 
 def test_every_section_has_text_or_subsections(call):
@@ -34,7 +34,7 @@ def test_every_section_has_text_or_subsections(call):
 
 
 def test_a_line_of_an_example_is_no_heading():
-    assert "# Measured in May" in error_page.sections()["a-survey-that-does-not-rise"].text
+    assert "# Measured in May" in error_page.sections()["an-imported-survey"].text
 
 
 def test_an_unknown_heading(call):

@@ -51,12 +51,23 @@ def test_parameters_that_are_not_given_are_assumed_and_stated(in_tmp, call):
 
 
 @pytest.mark.parametrize("options", [[], ["--uphill", "left"]])
-def test_a_crest_at_the_left_is_mirrored(in_tmp, call, options):
-    """Heights fall with x in the file, and rise with x in the clean survey."""
+def test_a_crest_at_the_left_stays_there(in_tmp, call, options):
+    """The survey keeps its coordinates, and the case states its direction."""
     export("left.txt", height=HEIGHT[::-1])
     assert call("import", "left.txt", *options)[0] == 0
     x, height, _ = hj.read_survey("left.csv")
-    assert np.array_equal(x, X) and np.array_equal(height, HEIGHT)
+    assert np.array_equal(x, X) and np.array_equal(height, HEIGHT[::-1])
+    assert hj.load_case("left.toml").problem.profile.units.direction == -1.0
+
+
+def test_one_flank_of_a_hill_is_imported(in_tmp, call):
+    """The message on two flanks names the options that choose one."""
+    export("hill.txt", x=np.arange(0.0, 240.5), height=np.append(HEIGHT, HEIGHT[-2::-1]))
+    assert "with the crest at row 122 (x = 120); use from/to: to = 120" in call("import", "hill.txt")[2]
+    assert call("import", "hill.txt", "--to", "120")[0] == 0
+    assert np.array_equal(hj.read_survey("hill.csv")[1], HEIGHT)
+    assert call("import", "hill.txt", "--from", "120", "--out", "right.toml")[0] == 0
+    assert hj.load_case("right.toml").problem.profile.units.direction == -1.0
 
 
 def test_columns_and_missing_heights_are_options(in_tmp, call):
@@ -72,7 +83,7 @@ def test_columns_and_missing_heights_are_options(in_tmp, call):
 @pytest.mark.parametrize(
     ("height", "options", "words"),
     [
-        (np.concatenate([HEIGHT[:61], HEIGHT[:60][::-1]]), [], "passes its crest in row 62 (x = 60)"),
+        (np.concatenate([HEIGHT[:61], HEIGHT[:60][::-1]]), [], "has two flanks, with the crest at row 62 (x = 60)"),
         (np.full(121, 3.0), [], "is level"),
         (HEIGHT, ["--length", "-1"], "length = -1.0 must be a positive number"),
         (HEIGHT, ["--out", "there.toml"], "there.toml exists, and import replaces no file"),

@@ -96,7 +96,7 @@ def test_a_file_that_the_case_names_is_part_of_it(in_tmp, call, stand_ins):
     Path("slope.csv").write_text("x,height\n0,0\n10,7\n")
     second = owner_of([Path("case.toml")])
     assert first.cases == second.cases and first.fingerprint != second.fingerprint
-    assert call("run", "case.toml")[0] == 0 and names("results/case") == RUN
+    assert call("run", "case.toml")[0] == 0 and names("results/case") == RUN | {"survey.csv"}
 
 
 def test_a_run_that_does_not_start_leaves_the_older_one(in_tmp, call, monkeypatch):
@@ -170,7 +170,7 @@ def test_a_home_folder_in_paths(in_tmp, call, monkeypatch, stand_ins):
     write_case("home/case.toml", profile=survey)
     Path("home/slope.csv").write_text("x,height\n0,0\n10,6\n")
     assert call("check", "~/case.toml", "~/case.toml", "--out=~/both")[0] == 0 and Path("home/both").is_dir()
-    assert call("run", "~/case.toml", "--out=~/results")[0] == 0 and names("home/results") == RUN
+    assert call("run", "~/case.toml", "--out=~/results")[0] == 0 and names("home/results") == RUN | {"survey.csv"}
     assert call("export", "~/results", "--vtk", "--out=~/vtk")[0] == 0 and Path("home/vtk/sheet.vtr").exists()
     write_case("k.toml", coefficient={"kind": "run", "result": "~/results"})
     assert call("run", "k.toml")[0] == 0

@@ -212,8 +212,8 @@ def test_kinks_and_their_paths_are_on_the_profiles(name):
 
         def places(index, most=None, heights=heights):
             strongest = {i: sorted(run.kinks_at(i), key=attrgetter("jump"), reverse=True)[:most] for i in index}
-            seen = [(float(scale(k.x)), i) for i in index for k in strongest[i]]
-            return {(at, float(np.interp(at, x, heights[i]))) for at, i in seen}
+            seen = [(k.x, i) for i in index for k in strongest[i]]
+            return {(float(scale(at)), float(np.interp(at, run.x, heights[i]))) for at, i in seen}
 
         assert points(axes, "o") == places(shown, most=style.DOTS)
         paths = [line for line in axes.lines if line.get_marker() == "None" and len(line.get_xdata()) != x.size]

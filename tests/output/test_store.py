@@ -91,7 +91,12 @@ def test_the_scenes_hold_what_the_tests_need(home):
 def test_every_file_is_there(run, tmp_path):
     folder = tmp_path / "deep" / "results"
     written = write_run(run, folder)
-    assert names(folder) == FILES | snapshots(run.time.size) == {p.relative_to(folder).as_posix() for p in written}
+    survey = {"survey.csv"} if run.units else set()
+    assert (
+        names(folder)
+        == FILES | survey | snapshots(run.time.size)
+        == {p.relative_to(folder).as_posix() for p in written}
+    )
 
 
 @pytest.mark.parametrize(
@@ -138,7 +143,8 @@ def test_netcdf_in_xarray(run, tmp_path):
         numbers = ("length", "critical_slope", "x_top", "height_top")
         back = {name: float(data.attrs[name]) for name in numbers if name in data.attrs}
     # 0.6, 123.4, 400.3 and 233.3 are no single-precision numbers (and equal to one only as a Python float)
-    assert back == (dict(vars(run.units)) if run.units else {})
+    assert back == ({name: getattr(run.units, name) for name in numbers} if run.units else {})
+    assert data.attrs.get("uphill") == ("right" if run.units else None)
 
 
 def test_fields_may_exceed_two_gigabytes(tmp_path):
@@ -234,6 +240,8 @@ def assert_same(first, second):
             assert field.name != "bounds" or str(dict(a)) == str(dict(b))
         elif field.name == "stop":  # its sentence is the status, which a file holds
             assert a is None
+        elif field.name == "surveyed":
+            assert (a is None) == (b is None) and (a is None or np.array_equal(a, b))
         elif isinstance(a, np.ndarray):
             assert np.array_equal(a, b) and a.dtype == b.dtype, field.name
         else:

@@ -10,22 +10,22 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
-from scipy.optimize import brentq, lsq_linear
+from scipy.optimize import brentq
 
 from hjprofile.errors import InputError
 from hjprofile.problem import Problem
 from hjprofile.problem.erosion import expression, log, power, rational
+from hjprofile.problem.given import profile
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import (
     TAIL,
     bumps,
     kinks,
     points,
-    profile,
     steady,
     steps,
 )
-from hjprofile.problem.survey import REPAIR_SLOPE, nearest_rising, survey
+from hjprofile.problem.survey import survey
 
 LAWS = {  # name -> (law, R' in closed form, inverse in closed form)
     "rational": (rational(), lambda q: 1.0, lambda y: y / (1 - y)),
@@ -268,220 +268,6 @@ def test_the_steady_slope_without_a_kink_fits_every_grid():
     steady(0.3).check(Grid(left=-1.0, cells=10), rational())
 
 
-# Surveys
-
-
-def write(folder, rows, header="x,height"):
-    path = folder / "survey.csv"
-    path.write_text("\n".join([header, *(f"{x!r},{h!r}" for x, h in rows)]) + "\n")
-    return path
-
-
-ROWS = [(10.0, 3.0), (25.0, 9.0), (31.0, 9.5), (70.0, 41.0), (85.0, 55.5)]
-
-
-def test_a_survey_is_scaled_and_there_is_a_way_back(tmp_path):
-    length, critical = 12.0, 0.6
-    slope = survey("survey.csv", critical, length, base=write(tmp_path, ROWS).parent)
-    x, height = np.array(ROWS).T
-    grid = Grid(left=-9.0, cells=90)
-    slope.check(grid, rational())
-    assert (slope.units.length, slope.units.critical_slope) == (length, critical)
-    assert (slope.units.x_top, slope.units.height_top) == (85.0, 55.5)
-    assert slope.units.volume == pytest.approx(length**2 * critical, rel=1e-15)
-
-    xi = (x - 85.0) / length
-    u = xi + slope.W(xi, rational())
-    # heights of 55 and less, a few roundings
-    np.testing.assert_allclose(slope.units.height_top + length * critical * u, height, rtol=0, atol=5e-14)
-    np.testing.assert_allclose(slope.units.height(u), height, rtol=0, atol=5e-14)
-    np.testing.assert_allclose(slope.units.x(xi), x, rtol=0, atol=5e-14)
-
-    # the survey itself, continued downhill with the critical slope, in its own units
-    nodes = 85.0 + length * grid.nodes
-    below = np.minimum(nodes - x[0], 0.0)
-    H = np.interp(nodes, x, height) + critical * below
-    np.testing.assert_allclose(
-        slope.q_means(grid, rational()), np.diff(H) / (critical * length * grid.dx) - 1, rtol=0, atol=1e-12
-    )
-    assert slope.start() == pytest.approx(xi[0], rel=1e-15)
-    assert slope.account == ""
-
-
-def test_similar_surveys_are_one_profile(tmp_path):
-    one = survey(write(tmp_path, ROWS), 0.6, 12.0)
-    other = survey(write(tmp_path, [(8 * x + 5, 4 * h - 100) for x, h in ROWS]), 0.3, 96.0)
-    np.testing.assert_allclose(one.q_means(GRID, log()), other.q_means(GRID, log()), rtol=0, atol=1e-12)
-
-
-def test_comments_blank_lines_and_a_byte_order_mark_are_skipped(tmp_path):
-    path = tmp_path / "survey.csv"
-    path.write_bytes(b"\xef\xbb\xbf# taken in May\r\n x , height \r\n\r\n0,0\r\n# a gap\r\n1, 2\r\n")
-    assert survey(path, 1.0, 1.0).q_means(Grid(left=-1.0, cells=4), rational()) == pytest.approx([1.0] * 4)
-
-
-FALLING = [(0.0, 0.0), (1.0, 3.0), (2.0, 2.0), (4.0, 2.5), (5.0, 2.4), (6.0, 9.0)]
-
-
-def test_a_survey_that_descends_is_refused_with_its_rows(tmp_path):
-    with pytest.raises(InputError) as refused:
-        survey(write(tmp_path, FALLING), 0.5, 1.0)
-    for words in (
-        "does not rise in rows 3-4, 5-6;",
-        "falls there by up to 1 ",
-        "set repair = 'isotonic'",
-        "survey.csv",
-    ):
-        assert words in str(refused.value)
-    mirrored = [(-x, h) for x, h in reversed(ROWS)]
-    with pytest.raises(InputError, match=r"rows 2-3, 3-4, 4-5, 5-6; .*, so mirror it"):
-        survey(write(tmp_path, mirrored), 0.5, 1.0)
-    many = [(float(i), -float(i)) for i in range(20)]
-    with pytest.raises(InputError, match=r"rows 2-3, 3-4, 4-5, 5-6, 6-7, \.\.\.;"):
-        survey(write(tmp_path, many), 0.5, 1.0)
-
-
-@settings(max_examples=40, deadline=None)
-@given(
-    st.lists(st.tuples(st.floats(0.1, 5.0), st.floats(-10.0, 10.0)), min_size=2, max_size=9),
-    st.floats(0.1, 2.0),
-)
-def test_the_repaired_survey_is_the_nearest_rising_one(tmp_path_factory, rows, critical):
-    """Least squares over a base and non-negative rises above the least slope, by a bounded active-set solver."""
-    x, height = np.cumsum([gap for gap, _ in rows]), np.array([h for _, h in rows])
-    least = REPAIR_SLOPE * critical
-    repaired = nearest_rising(x, height, least)
-    tilt = least * (x - x[-1])
-    basis = np.tril(np.ones((x.size, x.size)))
-    free = lsq_linear(basis, height - tilt, (np.r_[-np.inf, np.zeros(x.size - 1)], np.inf), method="bvls", tol=1e-14)
-    nearest = basis @ free.x + tilt
-    # the repair keeps 1e-9 of the least rise (at most 1e-9 * 0.1 * 45) in hand against rounding
-    np.testing.assert_allclose(repaired, nearest, rtol=0, atol=1e-8)
-    assert np.all(np.diff(repaired) >= least * np.diff(x) * (1 - 1e-9) - 1e-12)
-
-    # as a survey: the same heights on a ramp that is steep enough for the repair to be a small one
-    ramp = 300.0 * x / x[-1]
-    height, repaired = height + ramp, nearest_rising(x, height + ramp, least)
-    path = write(tmp_path_factory.mktemp("survey"), list(zip(x.tolist(), height.tolist(), strict=True)))
-    length = 3.0
-    slope = survey(path, critical, length, repair="isotonic")
-    xi = (x - x[-1]) / length
-    np.testing.assert_allclose(slope.units.height(xi + slope.W(xi, rational())), repaired, rtol=0, atol=1e-10)
-    slope.check(Grid(left=float(xi[0]) - 1.0, cells=40), rational())
-
-    moved = np.abs(repaired - height)
-    assume(not np.any((moved > 1e-12) & (moved < 1e-6)))  # whether such a point has moved is a matter of rounding
-    account = re.sub("(; )?the mean slope .*", "", slope.account)  # far from the critical one, in many of these
-    if moved.max() <= 1e-12 and account == "":
-        return
-    number, most, average = re.fullmatch(
-        rf"survey repaired: (\d+) of {x.size} points moved, by (\S+) at most and (\S+) on average \(r\.m\.s\.\)",
-        account,
-    ).groups()
-    assert int(number) == np.count_nonzero(moved > 1e-6)
-    assert float(most) == pytest.approx(moved.max(), rel=5e-3)  # three digits are printed
-    assert float(average) == pytest.approx(np.sqrt(np.mean(moved**2)), rel=5e-3)
-
-
-RISING = [(10.0 * i, 100.0 + 6.0 * i + 2.0 * math.sin(i)) for i in range(40)]  # by 236
-WRONG = {  # row -> height
-    "a digit lost": {30: 27.0},
-    "a digit lost, at the foot": {3: -100.0},
-    "a digit too many": {20: 1500.0},
-    "wrong in three rows": {4: -1000.0, 5: -1000.0, 6: -1000.0},
-}
-
-
-@pytest.mark.parametrize("wrong", WRONG.values(), ids=WRONG)
-def test_a_height_that_is_none_is_not_repaired_but_named(tmp_path, wrong):
-    """One row of those that are wrong, although each takes its neighbours along."""
-    rows = [(x, wrong.get(i, height)) for i, (x, height) in enumerate(RISING, start=2)]
-    with pytest.raises(
-        InputError, match=r"row .* would move its height of .*, more than a tenth of the relief"
-    ) as refused:
-        survey(write(tmp_path, rows), 0.6, 50.0, "isotonic")
-    (row,) = re.findall(r" row (\d+): ", str(refused.value))
-    assert int(row) in wrong and f"its height of {wrong[int(row)]:g} by" in str(refused.value)
-
-
-@pytest.mark.parametrize(("fall", "taken"), [(40.0, True), (60.0, False)])
-def test_a_tenth_of_the_relief_is_the_most_that_is_repaired(tmp_path, fall, taken):
-    """A fall between two points that lie far from all others moves both by half of it, here of a relief of 255."""
-    path = write(tmp_path, [(0.0, 0.0), (100.0, 100.0), (101.0, 100.0 - fall), (300.0, 255.0)])
-    if taken:
-        assert "2 of 4 points moved, by 20" in survey(path, 0.6, 50.0, "isotonic").account
-    else:
-        with pytest.raises(InputError, match=r"would move its height of .* by 30\.015, more"):
-            survey(path, 0.6, 50.0, "isotonic")
-
-
-def test_a_survey_upside_down_is_not_repaired(tmp_path):
-    """Nor one whose ends deceive: the first row is wrong."""
-    turned = [(-x, height) for x, height in reversed(RISING)]
-    for rows in (turned, [(turned[0][0], -1000.0), *turned[1:]]):
-        for repair in (None, "isotonic"):
-            with pytest.raises(InputError, match="this one has its crest at the left, so mirror it"):
-                survey(write(tmp_path, rows), 0.6, 50.0, repair)
-
-
-def test_a_rising_survey_needs_no_repair(tmp_path):
-    path = write(tmp_path, ROWS)
-    repaired, plain = survey(path, 0.6, 12.0, repair="isotonic"), survey(path, 0.6, 12.0)
-    assert repaired.account == ""
-    assert np.array_equal(repaired.q_means(GRID, log()), plain.q_means(GRID, log()))
-    assert repaired.table == {**plain.table, "repair": "isotonic"}
-
-
-BAD_SURVEYS = {
-    "empty": (b"", "must begin with the header 'x,height', not 'nothing'"),
-    "only comments": (b"# nothing here\n", "not 'nothing'"),
-    "no header": (b"0,0\n1,1\n", "must begin with the header 'x,height', not '0,0'"),
-    "other header": (b"x,z\n0,0\n1,1\n", "not 'x,z'"),
-    "semicolons": (b"x;height\n0;0\n1;1\n", "not 'x;height'"),
-    "only a header": (b"x,height\n", "has 0 points; a survey needs at least 2"),
-    "one point": (b"x,height\n0,0\n", "has 1 points; a survey needs at least 2"),
-    "unsorted": (b"x,height\n0,0\n2,1\n1,2\n", "row 4: x = 1 must be greater than the x = 2 before it"),
-    "duplicate": (b"# c\nx,height\n0,0\n1,1\n1,2\n", "row 5: x = 1 must be greater than the x = 1 before it"),
-    "nan": (b"x,height\n0,0\n1,nan\n", "row 3: '1,nan' must be finite"),
-    "infinite": (b"x,height\n-inf,0\n1,1\n", "row 2: '-inf,0' must be finite"),
-    "text": (b"x,height\n0,0\n1,steep\n", "row 3: '1,steep' must be two numbers"),
-    "gap": (b"x,height\n0,0\n1,\n2,2\n", "row 3: '1,' must be two numbers"),
-    "three columns": (b"x,height\n0,0\n1,1,1\n", "row 3: '1,1,1' must be two numbers"),
-    "thousands": (b'x,height\n0,0\n10,"1,105.7"\n', """row 3: '10,"1,105.7"' must be two numbers (a comma"""),
-    "thousands apart": (b"x,height\n0,0\n10,1 105\n", "no separator for thousands"),
-    "one column": (b"x,height\n0,0\n1\n", "row 3: '1' must be two numbers"),
-    "not UTF-8": (b"x,height\n0,0\n1,1\xff\xfe\n", "cannot be read as CSV: 'utf-8' codec"),
-    "UTF-16": ("x,height\n0,0\n1,1\n".encode("utf-16"), "cannot be read as CSV: 'utf-8' codec"),
-    "flat": (b"x,height\n0,0\n1,0\n", "does not rise in rows 2-3"),
-    "huge": (b"x,height\n0,-1e308\n1,1e308\n2,1.1e308\n", "rows 2, 3, 4: -1e+308 is not a measured height"),
-    "tiny": (b"x,height\n0,0\n1e-320,1\n", "leaves the range of numbers"),
-}
-
-
-@pytest.mark.parametrize("name", BAD_SURVEYS)
-@pytest.mark.parametrize("repair", [None, "isotonic"])
-def test_bad_surveys(tmp_path, name, repair):
-    content, words = BAD_SURVEYS[name]
-    path = tmp_path / "survey.csv"
-    path.write_bytes(content)
-    with np.errstate(all="ignore"):  # as when a case is loaded
-        if name == "flat" and repair:
-            words = "row 2: repair = 'isotonic' would move its height of 0 by 0.0125, more than a tenth"
-        with pytest.raises(InputError, match=re.escape(words)) as refused:
-            survey(path, 0.5, 1.0, repair)
-    assert "survey.csv" in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [("absent.csv", "does not exist"), (".", "is not a file"), ("nul\0.csv", "is not a file")],
-)
-def test_surveys_that_are_no_files(tmp_path, name, words):
-    with pytest.raises(InputError, match=words) as refused:
-        survey(name, 0.5, 1.0, base=tmp_path)
-    assert "file = " in str(refused.value)
-
-
 BAD_ARGUMENTS = [
     (lambda: kinks([], []), "positions = "),
     (lambda: kinks([-1.0], ["much"]), "amplitudes = "),
@@ -536,6 +322,10 @@ BAD_ARGUMENTS = [
     (lambda: survey("a.csv", 0.0, 1.0), "critical_slope = 0.0 must be a positive number"),
     (lambda: survey("a.csv", 1.0, math.nan), "length = nan must be a positive number"),
     (lambda: survey("a.csv", 1.0, 1.0, "mend"), "repair = 'mend' is not known; allowed is 'isotonic'"),
+    (lambda: profile(x=[-1.0, -2.0], u=[0.0, 1.0]), "x and u must increase from left to right"),
+    (lambda: profile(x=[-2.0, -1.0], u=[0.0, 0.0]), "x and u must increase from left to right"),
+    (lambda: profile(x=[-2.0, -1.0], u=[0.0]), "u = "),
+    (lambda: profile(x=[-3.0, -2.0, -1.0], u=[0.0, 1.0]), "u has 2 entries and x has 3"),
     (lambda: Grid(left=0.0, cells=10), "left = 0.0 must be a negative number"),
     (lambda: Grid(left=-math.inf, cells=10), "left = -inf must be a negative number"),
     (lambda: Grid(left=-1.0, cells=3), "cells = 3 must be a whole number, 4 or more"),

@@ -114,8 +114,9 @@ def test_numbers_of_missing_heights_may_be_given(tmp_path):
         ("a,b\n0,9\n1,8\n", [1, 3], "no column 3"),
         ("lon,lat,z\n9.1,48.2,5\n9.2,48.2,6\n", None, "degrees are no lengths"),
         ("x (km),height (m)\n0,5\n1,6\n", None, "the units km and m in its header"),
+        ("x,height\nkm,m\n0,5\n1,6\n", None, "the units km and m in its header"),
         ("x,height\n", None, "no line with two numbers"),
-        ("x,height\n1,2\n", None, "has 1 points"),
+        ("x,height\n1,2\n", None, "has 1 point;"),
         ("nothing here\n", None, "no line with two numbers"),
     ],
 )

@@ -327,8 +327,8 @@ def test_bad_surveys_after(slope, coarse, call, tmp_path):
     beside = save(tmp_path / "beside.csv", x + 2000.0, height)
     code, text, error = call("fit", path, beside, "--vary", "time.end", "--out", tmp_path)
     assert (code, text) == (2, "") and "0 of the 41 points of the survey after lie on the slope, from x = 0" in error
-    (tmp_path / "unordered.csv").write_text("x,height\n0,0\n10,1\n5,2\n")
-    code, _, error = call("fit", path, tmp_path / "unordered.csv", "--vary", "time.end", "--out", tmp_path)
+    (tmp_path / "words.csv").write_text("x,height\n0,0\n10,1\n15,high\n")
+    code, _, error = call("fit", path, tmp_path / "words.csv", "--vary", "time.end", "--out", tmp_path)
     assert code == 2 and "row 4" in error
     code, _, error = call("fit", path, tmp_path / "nowhere.csv", "--vary", "time.end", "--out", tmp_path)
     assert code == 2 and "does not exist" in error

@@ -118,7 +118,8 @@ for _section, _table, _key, _what, _optional in KEYS:
     if not _optional:
         _rest = {k: v for k, v in _table.items() if k != _key}
         _FIRST.setdefault("missing", f"{_name} missing")
-        BAD[f"{_name} missing"] = ({_section: _rest}, _section, [f"{_key} is missing; it must be {_what}"])
+        _needed = "a file of points" if _name == "profile.survey.file" else _what
+        BAD[f"{_name} missing"] = ({_section: _rest}, _section, [f"{_key} is missing; it must be {_needed}"])
     for _value in NOT[_what]:
         _words = [f"{_key} = {_value!r} must be {_what}"]
         _FIRST.setdefault((_what, "a number" if isinstance(_value, float) else type(_value)), f"{_name} = {_value!r}")
@@ -353,7 +354,7 @@ BAD |= {
     "survey descends": (
         {"profile": {"kind": "survey", "file": "survey.csv", "critical_slope": 0.5, "length": 2.0}},
         "profile",
-        ["file = 'survey.csv' does not rise in rows 3-4", "repair = 'isotonic'"],
+        ["survey.csv' does not rise in rows 3-4", "repair = 'isotonic'"],
     ),
     "unknown repair": (
         {"profile": {"kind": "survey"} | PROFILES["survey"] | {"repair": "mend"}},

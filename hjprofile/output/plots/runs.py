@@ -47,6 +47,8 @@ def draw_profiles(run: Run) -> Figure:
     """Draw the profiles with erosion, deposition and kinks; the change of height; q."""
     x, u, x_label, u_label = axes_units(run, run.units)
     keys = _keys_of_change(u[-1], u[0], x, f" {style.SURVEY}²" if run.units else "") + [_KINK] * bool(run.kinks)
+    changed = run.surveyed is not None and not np.array_equal(run.surveyed.height, run.surveyed.used)
+    keys += [_MEASURED] * changed
     rows = -(-len(keys) // (2 if run.units else 3))
     figure = style.sheet(run.title, style.about(run), rows, 4.9)
     top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
@@ -62,6 +64,8 @@ def draw_profiles(run: Run) -> Figure:
             axes.plot(at, height, color=INK, lw=0.6, zorder=2.5)
         for i in shown:
             axes.plot(*style.dots_on(run, i, x, heights[i]), **DOT, ls="none", zorder=3)
+    if run.surveyed is not None and changed:
+        top.plot(run.surveyed.x, run.surveyed.height, **_POINT, zorder=3.5)
     style.legend_above(figure, keys, max(rows, 1))
     top.set_ylabel(u_label)
     middle.set_ylabel(style.of_height("change of height", run.units))
@@ -73,6 +77,8 @@ def draw_profiles(run: Run) -> Figure:
     return figure
 
 
+_POINT: dict[str, Any] = {"ls": "none", "marker": ".", "ms": 2.0, "mec": "none", "color": "0.35"}
+_MEASURED = Line2D([], [], label="survey as measured", **_POINT | {"ms": 5.0})
 _KINK = Line2D([], [], color=INK, lw=0.6, label="kink", **DOT)
 
 

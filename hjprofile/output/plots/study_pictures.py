@@ -265,7 +265,8 @@ def draw_fit(found: Calibration) -> Figure:
     figure = style.sheet(found.title, lines, 1, 4.9, right=0.16)
     top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
     x, before, after = found.curve
-    start = np.interp(found.x, x, before)
+    order = np.argsort(x)  # a survey may rise to the left
+    start = np.interp(found.x, x[order], before[order])
     points = style.DOT | {"ls": "none", "mec": ERODED, "label": "measured after"}
     keys = top.plot(x, before, color=style.PALE, lw=0.8, ls=(0, (4, 2)), label="before")
     keys += top.plot(x, after, color=DEPOSITED, lw=1.1, label="fitted after")

@@ -192,7 +192,7 @@ def axes_units(run: Run, units: Units | None) -> tuple[Array, Array, str, str]:
 def axis_of_x(axes: Axes, x: Array, label: str) -> None:
     """Format the axis along the slope."""
     axes.set_xlabel(label)
-    axes.set_xlim(x[0], x[-1])
+    axes.set_xlim(min(x[0], x[-1]), max(x[0], x[-1]))  # a survey may rise to the left
     axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
 
 
@@ -267,8 +267,9 @@ def kinks_on(run: Run, x: Array, heights: Array) -> list[tuple[Array, Array, Arr
     for number in sorted({k.kink for k in run.kinks}):
         mine = [k for k in run.kinks if k.kink == number]
         index = np.searchsorted(run.time, [k.time for k in mine])
-        at = scale(np.array([k.x for k in mine]))
-        found.append((at, np.array([np.interp(a, x, heights[i]) for a, i in zip(at, index, strict=True)]), index))
+        at = np.array([k.x for k in mine])
+        on = np.array([np.interp(a, run.x, heights[i]) for a, i in zip(at, index, strict=True)])
+        found.append((scale(at), on, index))
     return found
 
 
@@ -276,8 +277,7 @@ def dots_on(run: Run, i: int, x: Array, heights: Array) -> tuple[Array, Array]:
     """Return positions and heights of the DOTS strongest kinks at a saved time, on a curve, shape (x.size,)."""
     strongest = sorted(run.kinks_at(i), key=lambda kink: kink.jump)[-DOTS:]
     at = np.array([kink.x for kink in strongest])
-    at = run.units.x(at) if run.units else at
-    return at, np.interp(at, x, heights)
+    return run.units.x(at) if run.units else at, np.interp(at, run.x, heights)
 
 
 def change_of(u: Array, first: Array, x: Array) -> tuple[float, float]:
@@ -285,7 +285,7 @@ def change_of(u: Array, first: Array, x: Array) -> tuple[float, float]:
     (deposited).
     """
     eroded, deposited = np.maximum(first - u, 0.0), np.maximum(u - first, 0.0)
-    return tuple(float(0.5 * np.diff(x) @ (h[1:] + h[:-1])) for h in (eroded, deposited))  # type: ignore[return-value]
+    return tuple(float(0.5 * np.abs(np.diff(x)) @ (h[1:] + h[:-1])) for h in (eroded, deposited))  # type: ignore[return-value]
 
 
 def amount(value: float) -> str:

@@ -57,6 +57,7 @@ def solve_on_grid(
         crest_lowering=bounds.crest_lowering,
         volume_budget_error=bounds.budget_error,
         units=problem.profile.units,
+        surveyed=problem.profile.surveyed,
         account=problem.profile.account,
         cautions=cells_resolve(problem, grid).caution(f"{grid.cells} cells", "more cells, or the method auto"),
     )
