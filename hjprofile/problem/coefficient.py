@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -152,8 +152,7 @@ def stored_coefficient(result: str | Path, base: Path = Path()) -> Coefficient:
     path = located(base, as_path("result", result)) / "profile.nc"
     try:
         arrays, attributes = read_profile(path)
-        names = [field.name for field in fields(Units)]
-        units = Units(*(float(attributes[name]) for name in names)) if names[0] in attributes else None
+        units = Units.from_attributes(attributes)
     except OSError as error:
         why = error.strerror or error
         raise InputError(f"result = {str(result)!r} is not a result folder: {path} cannot be read: {why}") from None

@@ -46,7 +46,7 @@ def pictures(
 def draw_profiles(run: Run) -> Figure:
     """Draw the profiles with erosion, deposition and kinks; the change of height; q."""
     x, u, x_label, u_label = axes_units(run, run.units)
-    keys = _keys_of_change(u[-1], u[0], x, f" {style.SURVEY}²" if run.units else "") + [_KINK] * bool(run.kinks)
+    keys = _keys_of_change(u[-1], u[0], x, f" {run.units.label}²" if run.units else "") + [_KINK] * bool(run.kinks)
     rows = -(-len(keys) // (2 if run.units else 3))
     figure = style.sheet(run.title, style.about(run), rows, 4.9)
     top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
