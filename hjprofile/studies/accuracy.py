@@ -15,6 +15,7 @@ from hjprofile.problem.units import Units
 from hjprofile.solvers.run import Array, KinkRecord, Run
 
 ABOUT = "a-check-or-a-study"
+NEUTRAL = 1e-6  # |q| up to which a slope is neutral; rounding of the data is smaller
 DETECTED_JUMP = 0.25  # jump above which every method detects a kink on a few hundred cells
 
 
@@ -62,7 +63,7 @@ class Shared(NamedTuple):
         kinks: at each time the distances of the kinks of both runs, as `kink_distances` returns them.
         units: of the survey of both runs; None if one of them has none.
         metric: True if the arrays are in the surveys' unit, because the units of the runs differ. Slopes are then
-            height over length, and the grid covers the common ground with cells as wide as the wider ones of the two.
+            height over length, and the nodes are those of the run with the wider cells on the common ground.
     """
 
     first: Array
@@ -131,36 +132,47 @@ def _on_common_ground(first: Run, second: Run, units: Units, others: Units) -> S
     Heights are linear between nodes, and slopes are exact means of the piecewise constant ones. Raise InputError if the
     runs share no ground or no supplied volume.
     """
-    ends = [known.x(run.x[[0, -1]]) for run, known in ((first, units), (second, others))]
-    left, right = max(ends[0][0], ends[1][0]), min(ends[0][1], ends[1][1])
-    dx = max(float(np.ptp(end)) / run.cells for end, run in zip(ends, (first, second), strict=True))
-    if right - left < dx:
-        (a, b), (c, d) = ends
-        raise InputError(
-            f"the runs share no ground: one covers x = {a:g} to {b:g}, the other x = {c:g} to {d:g}; compare runs of "
-            "the same slope, with the same origin of x",
-            ABOUT,
-        )
-    x = np.linspace(left, right, max(int(np.rint((right - left) / dx)), 1) + 1)
+    places = units.x(first.x), others.x(second.x)
+    x = _common_nodes(places, (first.q[0], second.q[0]))
     i, j, volumes = _shared_volumes(units.volume * first.time, others.volume * second.time)
     if i.size == 0:
         raise InputError("the runs share no supplied volume, so they cannot be compared", ABOUT)
     t = volumes / others.volume
     height = np.stack([
-        _rows(lambda u: units.height(np.interp(x, units.x(first.x), u)), first.u[i]),
-        _rows(lambda u: others.height(np.interp(x, others.x(second.x), u)), _at_times(second.time, second.u, t, j)),
+        _rows(lambda u: units.height(np.interp(x, places[0], u)), first.u[i]),
+        _rows(lambda u: others.height(np.interp(x, places[1], u)), _at_times(second.time, second.u, t, j)),
     ])  # fmt: skip
     dx = float(x[-1] - x[0]) / (x.size - 1)
-    sums = np.cumsum(np.diff(others.x(second.x)) * others.slope(_at_times(second.time, second.q, t, j)), axis=1)
+    sums = np.cumsum(np.diff(places[1]) * others.slope(_at_times(second.time, second.q, t, j)), axis=1)
     rises = np.concatenate([np.zeros((t.size, 1)), sums], axis=1)
-    means = np.diff(_rows(lambda rise: np.interp(x, others.x(second.x), rise), rises), axis=1) / dx
+    means = np.diff(_rows(lambda rise: np.interp(x, places[1], rise), rises), axis=1) / dx
     slope = np.stack([np.diff(height[0], axis=1) / dx, means])
     kinks = [
         kink_distances(first.kinks_at(a), second.kinks_at(b), units, others) if b >= 0 else np.empty(0)
         for a, b in zip(i.tolist(), j.tolist(), strict=True)
     ]
-    x_cell = 0.5 * (x[1:] + x[:-1])
-    return Shared(i, j, x, x_cell, height, slope, _named(units, others), volumes, kinks, metric=True)
+    return Shared(i, j, x, 0.5 * (x[1:] + x[:-1]), height, slope, _named(units, others), volumes, kinks, metric=True)
+
+
+def _common_nodes(places: tuple[Array, Array], q: tuple[Array, Array]) -> Array:
+    """Return the nodes of the coarser grid on the ground that both runs cover, two or more.
+
+    Left of its data, at which q = 0 ends, each run continues with its own neutral slope. That part never changes and is
+    not ground. Raise InputError if there is no common ground.
+    """
+    away = [np.flatnonzero(np.abs(means) > NEUTRAL) for means in q]
+    starts = [x[min(cells[0] + 1, x.size - 2)] if cells.size else x[0] for x, cells in zip(places, away, strict=True)]
+    ends = [x[-1] for x in places]
+    dx = [float(np.ptp(x)) / (x.size - 1) for x in places]
+    coarse, hair = places[int(dx[1] > dx[0])], 1e-6 * min(dx)
+    x = coarse[(coarse >= max(starts) - hair) & (coarse <= min(ends) + hair)]
+    if x.size < 2:
+        raise InputError(
+            f"the runs share no ground: the data of one cover x = {starts[0]:g} to {ends[0]:g}, those of the other "
+            f"x = {starts[1]:g} to {ends[1]:g}; compare runs of the same slope, with the same origin of x",
+            ABOUT,
+        )
+    return x
 
 
 def _rows(change: Callable[[Array], Array], rows: Array) -> Array:

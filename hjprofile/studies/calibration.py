@@ -148,7 +148,10 @@ class _Model:
     def heights(self, z: Array, x: Array, end: float | None = None, fronts: int = 0) -> Array:
         """Return the heights at x, in the survey's units, at the end or at another time `end`."""
         self.evaluations += 1
-        changed = self.overrides(z) | ({} if end is None else {"time.end": end})
+        changed = self.overrides(z)
+        if end is not None:
+            changed.pop(SUPPLIED, None)
+            changed["time.end"] = end
         case = load_case(self.path, changed)
         units = case.problem.profile.units or self.units
         place = np.clip((x - units.x_top) / units.length, case.grid.left, 0.0)

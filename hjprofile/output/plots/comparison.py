@@ -11,6 +11,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from hjprofile.output.plots import style
 from hjprofile.output.plots.style import INK, TIMES, TWO_RUNS, styled
@@ -55,6 +56,7 @@ def draw_comparison(first: Run, second: Run, names: tuple[str, str]) -> Figure:
     times = unit * saved
     names = tuple(n if len(n) <= LONGEST else f"{n[: LONGEST - 1]}…" for n in names)  # type: ignore[assignment]
     lines = [f"{name}: {run.method}, {run.cells} cells" for name, run in zip(names, (first, second), strict=True)]
+    lines += ["on their common ground, at equal supplied volumes"] if both.metric else []
     figure = style.sheet(" and ".join(dict.fromkeys((first.title, second.title))), lines, 1, 7.0)
     frame = figure.subplotpars
     parts = figure.add_gridspec(
@@ -88,6 +90,7 @@ def draw_comparison(first: Run, second: Run, names: tuple[str, str]) -> Figure:
     over_time[1].set_ylabel(f"kinks apart\n({units.label if units else 'exch. lengths'})")
     over_time[1].set_xlabel(label_of_time)
     over_time[1].xaxis.set_major_formatter(numbers)
+    over_time[1].xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))  # numbers of 6 digits
     over_time[1].set_xlim(*style.span(times))
     _scale(over_time[0], [*largest[apart]] or [1.0])
     _scale(over_time[1], [d for _, d in distances] or [1.0])
