@@ -15,11 +15,13 @@ _IN_UNITS: dict[str, tuple[str, Callable[[Units, float], Any]]] = {  # column ->
     "q_right": ("slope_right", lambda units, q: units.slope(q)),
     "end": ("end_survey", lambda units, t: units.volume * t),
     "eroded_volume": ("eroded_volume_survey", lambda units, volume: units.volume * volume),
+    "volume_budget_error": ("volume_budget_error_survey", lambda units, volume: units.volume * volume),
     "toe_outflow": ("toe_outflow_survey", lambda units, volume: units.volume * volume),
     "crest_lowering": ("crest_lowering_survey", lambda units, height: units.rise * height),
     "largest_lowering": ("largest_lowering_survey", lambda units, height: units.rise * height),
     "largest_rise": ("largest_rise_survey", lambda units, height: units.rise * height),
     "kink_x": ("kink_x_survey", lambda units, x: units.x(x)),
+    "error_estimate": ("error_estimate_survey", lambda units, height: units.rise * height),
 }
 
 

@@ -27,7 +27,13 @@ from hjprofile.studies.sweep import QUANTITIES, Member, Outcome, held, members, 
 
 KEPT = "members"  # subfolder of the stored members
 SHOWN = 14  # rows of the account
-LENGTHS = "crest_lowering", "largest_lowering", "largest_rise", "kink_x"  # the other quantities with units are areas
+LENGTHS = (
+    "crest_lowering",
+    "largest_lowering",
+    "largest_rise",
+    "kink_x",
+    "error_estimate",
+)  # the other quantities with units are areas
 LARGEST_VARIABLE = 2**31  # bytes of a netCDF-3 variable without an unlimited dimension, as scipy writes it
 _IN_ACCOUNT = ("eroded_volume", "toe_outflow", "largest_lowering", "kinks_at_end")
 _IN_UNITS = ("end_survey", "eroded_volume_survey", "toe_outflow_survey", "largest_lowering_survey")  # if units differ

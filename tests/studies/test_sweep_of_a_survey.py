@@ -86,17 +86,19 @@ def test_columns_in_the_unit_of_the_survey(scene, in_tmp):
     with open(in_tmp / "out" / "sweep.csv", newline="") as stream:
         table = list(csv.DictReader(stream))
     names = list(table[0])
-    assert names[-7:] == [
-        "end_survey", "eroded_volume_survey", "toe_outflow_survey", "crest_lowering_survey",
-        "largest_lowering_survey", "largest_rise_survey", "kink_x_survey",
+    assert names[-9:] == [
+        "end_survey", "eroded_volume_survey", "volume_budget_error_survey", "toe_outflow_survey",
+        "crest_lowering_survey", "largest_lowering_survey", "largest_rise_survey", "kink_x_survey",
+        "error_estimate_survey",
     ]  # fmt: skip
-    assert names[-8] == "wall_seconds" and report(result)["members"][0].keys() == table[0].keys()
+    assert names[-10] == "wall_seconds" and report(result)["members"][0].keys() == table[0].keys()
     for row in table:
         length, slope = float(row["profile.length"]), float(row["profile.critical_slope"])
-        for name in ("end", "eroded_volume", "toe_outflow"):
+        for name in ("end", "eroded_volume", "volume_budget_error", "toe_outflow"):
             assert float(row[f"{name}_survey"]) == pytest.approx(length**2 * slope * float(row[name]), rel=1e-13)
         for name in ("crest_lowering", "largest_lowering", "largest_rise"):
             assert float(row[f"{name}_survey"]) == pytest.approx(length * slope * float(row[name]), rel=1e-13)
+        assert row["error_estimate_survey"] == row["error_estimate"] == ""  # this method provides none
         assert float(row["kink_x_survey"]) == pytest.approx(X_TOP + length * float(row["kink_x"]), rel=1e-13)
     with xarray.open_dataset(in_tmp / "out" / "sweep.nc") as data:
         assert np.array_equal(data.toe_outflow_survey.values, result.quantity("toe_outflow_survey"))
