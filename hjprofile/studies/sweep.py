@@ -187,7 +187,9 @@ def held(vary: Mapping[str, Any], made: Sequence[Member]) -> str:
         sentences.append(f"in each member {ends} times {LENGTH} is constant: all grids cover the same ground")
     supplied = made[0].content.get("time", {}).get("supplied")
     if supplied is not None and "time.supplied" not in vary and {LENGTH, "profile.critical_slope"} & set(vary):
-        sentences.append(f"every member is supplied with the same volume per unit width, {supplied:g}")
+        named = next((m.units.unit for m in made if m.units and m.units.unit), "")
+        unit = f" {named}²" if named else ""
+        sentences.append(f"every member is supplied with the same volume per unit width, {supplied:g}{unit}")
     return "; ".join(sentences)
 
 

@@ -1,6 +1,7 @@
 """Sweeps of a survey: equal volumes, equal ground, and columns in the unit of the survey."""
 
 import csv
+import dataclasses
 
 import numpy as np
 import pytest
@@ -8,8 +9,8 @@ import tomli_w
 import xarray
 
 import hjprofile as hj
-from hjprofile.output.sweep_results import account, report
-from hjprofile.studies.sweep import members
+from hjprofile.output.sweep_results import account, netcdf, report
+from hjprofile.studies.sweep import held, members
 
 LENGTHS, SUPPLIED, LEFT = [100.0, 150.0, 230.0], 4500.0, -3.0
 X_TOP, HEIGHT_TOP, CRITICAL = 500.0, 155.0, 0.4
@@ -107,6 +108,22 @@ def test_columns_in_the_unit_of_the_survey(scene, in_tmp):
         last = result.outcomes[-1].u
         assert np.allclose(data.height.values[-1, -1], HEIGHT_TOP + LENGTHS[-1] * 0.4 * last, rtol=1e-14)
         assert np.array_equal(data.distance.values, result.distance) and "u" not in data
+
+
+def test_a_unit_with_a_name_is_in_the_file_and_the_account(scene, tmp_path):
+    result = hj.sweep(scene(), {"profile.length": LENGTHS})
+    named = dataclasses.replace(result, units=[dataclasses.replace(units, unit="m") for units in result.units])
+    (tmp_path / "named.nc").write_bytes(netcdf(named))
+    with xarray.open_dataset(tmp_path / "named.nc") as data:
+        units = {name: data[name].attrs["units"] for name in data.data_vars if name.endswith("_survey")}
+        areas = {"end_survey", "eroded_volume_survey", "volume_budget_error_survey", "toe_outflow_survey"}
+        assert {name for name, unit in units.items() if unit == "m2"} == areas
+        assert {unit for name, unit in units.items() if name not in areas} == {"m"}
+        assert data.height.attrs["units"] == data.distance.attrs["units"] == "m" and data.end.attrs["units"] == "1"
+    assert "  columns that end in _survey: lengths in m, volumes per unit width in m²\n" in account(named)
+    made = members(scene(), {"profile.length": LENGTHS})
+    vary = {"profile.length": LENGTHS}
+    assert held(vary, [m._replace(units=u) for m, u in zip(made, named.units, strict=True)]).endswith(" 4500 m²")
 
 
 def test_a_failed_member_has_no_values(scene):

@@ -90,7 +90,8 @@ def draw_comparison(first: Run, second: Run, names: tuple[str, str]) -> Figure:
     over_time[1].set_ylabel(f"kinks apart\n({units.label if units else 'exch. lengths'})")
     over_time[1].set_xlabel(label_of_time)
     over_time[1].xaxis.set_major_formatter(numbers)
-    over_time[1].xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))  # numbers of 6 digits
+    if units:  # volumes have many digits
+        over_time[1].xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
     over_time[1].set_xlim(*style.span(times))
     _scale(over_time[0], [*largest[apart]] or [1.0])
     _scale(over_time[1], [d for _, d in distances] or [1.0])
