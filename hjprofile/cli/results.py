@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from hjprofile.cli.common import Into, Json, Progress, Somewhere, answer, app, expanded, listing, say
 from hjprofile.errors import InputError
+
+if TYPE_CHECKING:
+    from hjprofile.studies.accuracy import Comparison
 
 Film = Annotated[
     Path | None,
@@ -31,11 +34,13 @@ def plot(result: Somewhere, /, *, out: Into = None, json: Json = False) -> None:
 def compare(result: Somewhere, other: Somewhere, /, *, out: Into = None, json: Json = False) -> None:
     """Print the differences of two results, and draw both with their differences into the first folder or another.
 
-    The grids must be the same, or one a refinement of the other. Writes comparison.png and comparison.svg.
+    The grids must be the same, or one a refinement of the other. Surveys with different exchange lengths or critical
+    slopes are compared in their unit at equal supplied volumes. Writes comparison.png and comparison.svg.
     """
     from hjprofile.output.plots.comparison import comparison_pictures
     from hjprofile.output.store import load_run
     from hjprofile.studies.accuracy import compare as norms_of
+    from hjprofile.studies.accuracy import in_survey_units
 
     first, second = load_run(result), load_run(other)
     norms = norms_of(first, second)
@@ -43,23 +48,40 @@ def compare(result: Somewhere, other: Somewhere, /, *, out: Into = None, json: J
     if names[0] == names[1]:
         names = (str(result), str(other))
     files = comparison_pictures(first, second, names)
-    kinks = f"{norms.kinks:.2g}" if norms.kinks == norms.kinks else "no kinks to compare"
-    heights = ""
-    if (units := first.units) and second.units:
-        in_units = "in the survey's units"
-        area, height = norms.height_l1 * units.volume, norms.height_sup * units.length * units.critical_slope
-        heights = f" ({area:.2g} and {height:.2g} {in_units})"
-        kinks += f" ({norms.kinks * units.length:.2g} {in_units})" if norms.kinks == norms.kinks else ""
-    times = f"{norms.shared_times} shared, of {first.time.size} and {second.time.size} saved times"
     lines = [f"{name}: {run.method}, {run.cells} cells" for name, run in zip(names, (first, second), strict=True)]
-    lines += [
-        f"  times       {times}",
+    survey = in_survey_units(norms, first, second)
+    lines += [*_distances(norms, (first.time.size, second.time.size), survey), "  written     "]
+    document = norms._asdict() | {"survey": survey}
+    _write(result, out or result, files, json, document, "\n".join(lines))
+
+
+def _distances(norms: Comparison, saved: tuple[int, int], survey: Mapping[str, Any] | None) -> list[str]:
+    """Return the account of a comparison: times, heights, slopes, kinks. `survey` holds values in the survey's unit."""
+    from hjprofile.problem.units import IN_SURVEY, UNNAMED
+
+    name = survey["unit"] if survey else ""
+    unit, area = (f" {name}", f" {name}²") if name != UNNAMED else (f" {IN_SURVEY}",) * 2
+    kinks = f"{norms.kinks:.2g}" if norms.kinks == norms.kinks else "no kinks to compare"
+    if norms.unit:
+        between = f"; the second run is interpolated at {norms.interpolated}" if norms.interpolated else ""
+        return [
+            f"  units       they differ; the runs are compared on their common ground, in {name}",
+            f"  times       {norms.shared_times} equal supplied volumes, of {saved[0]} and {saved[1]} saved{between}",
+            f"  height      ∫|Δ height| dx = {norms.height_l1:.2g}{area}, sup|Δ height| = {norms.height_sup:.2g}{unit}",
+            f"  slope       ∫|Δ slope| dx = {norms.slope_l1:.2g}{unit}, sup|Δ slope| = {norms.slope_max:.2g}",
+            f"  kinks       {kinks}{unit if norms.kinks == norms.kinks else ''}",
+        ]
+    heights = ""
+    if survey:
+        first = f"{survey['height_l1']:.2g}" + (area if name != UNNAMED else "")
+        heights = f" ({first} and {survey['height_sup']:.2g}{unit})"
+        kinks += f" ({survey['kinks']:.2g}{unit})" if norms.kinks == norms.kinks else ""
+    return [
+        f"  times       {norms.shared_times} shared, of {saved[0]} and {saved[1]} saved times",
         f"  height      ∫|u₁ - u₂| dx = {norms.height_l1:.2g}, sup|u₁ - u₂| = {norms.height_sup:.2g}{heights}",
         f"  slope       ∫|q₁ - q₂| dx = {norms.slope_l1:.2g}, sup|q₁ - q₂| = {norms.slope_max:.2g}",
         f"  kinks       {kinks}",
-        "  written     ",
     ]
-    _write(result, out or result, files, json, norms._asdict(), "\n".join(lines))
 
 
 @app.command

@@ -82,8 +82,8 @@ def _account(run: Run) -> str:
     volume = f"net {'erosion' if eroded >= 0 else 'deposition'} {abs(eroded):.6g}"
     supplied = ""
     if run.units:
-        volume += f" ({abs(eroded) * run.units.volume:.4g} in the survey's units, per unit width)"
-        supplied = f" (supplied: {run.time[-1] * run.units.volume:.4g} in the survey's units, per unit width)"
+        volume += f" ({run.units.volume_text(abs(eroded) * run.units.volume)})"
+        supplied = f" (supplied: {run.units.volume_text(run.time[-1] * run.units.volume)})"
     count = {kind: sum(e.event == kind for e in run.events) for kind in ("birth", "merge", "exit")}
     plural = {"birth": "births", "merge": "merges", "exit": "exits"}
     events = ", ".join(f"{n} {plural[kind] if n != 1 else kind}" for kind, n in count.items())

@@ -16,6 +16,7 @@ EVENTS = "birth", "merge", "exit", "blow-up"
 SECTIONS = "erosion", "profile", "domain", "time", "solver"
 MOST = 2**31  # kinks and vertical steps
 LONGEST_TEXT = 10_000  # characters of a sentence
+LONGEST_UNIT = 100  # characters of the name of a unit
 
 
 def fault_of(run: Run, summary: Mapping[str, Any]) -> str:
@@ -62,6 +63,8 @@ def _of_units(run: Run) -> str:
     if run.units is None:
         return ""
     values = np.array([run.units.length, run.units.critical_slope, run.units.x_top, run.units.height_top])
+    if len(run.units.unit) > LONGEST_UNIT:
+        return f"the name of a unit has more than {LONGEST_UNIT} characters"
     if not (np.all(np.abs(values) <= LARGEST) and min(run.units.length, run.units.critical_slope) > 1.0 / LARGEST):
         return "the units of the survey must be numbers, its length and critical slope positive"
     return ""

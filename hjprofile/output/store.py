@@ -20,10 +20,11 @@ import hjprofile
 from hjprofile.errors import InputError
 from hjprofile.output.faults import fault_of
 from hjprofile.output.folder import ResultFolder, owner_of_run
+from hjprofile.output.survey_columns import names_with_survey_columns, with_survey_columns
 from hjprofile.problem.ranges import as_path, instance
 from hjprofile.problem.stored import read_profile
 from hjprofile.problem.units import SurveyLine, Units
-from hjprofile.solvers.run import FIELDS, Event, KinkRecord, Run, Verdict, VerticalStep
+from hjprofile.solvers.run import COORDINATES, Event, KinkRecord, Run, Verdict, VerticalStep
 
 _Row = TypeVar("_Row", KinkRecord, Event, VerticalStep)
 
@@ -98,11 +99,11 @@ def write_results(
             drawn = helper.submit(_pictures, run)
     data: dict[str, bytes | str] = {
         "profile.nc": netcdf(run),
-        "kinks.csv": to_csv(KinkRecord._fields, run.kinks),
-        "events.csv": to_csv(Event._fields, run.events),
+        "kinks.csv": to_csv(*with_survey_columns(KinkRecord._fields, run.kinks, run.units)),
+        "events.csv": to_csv(*with_survey_columns(Event._fields, run.events, run.units)),
     }
     if run.vertical_steps is not None:
-        data[STEPS_FILE] = to_csv(VerticalStep._fields, run.vertical_steps)
+        data[STEPS_FILE] = to_csv(*with_survey_columns(VerticalStep._fields, run.vertical_steps, run.units))
     if run.surveyed is not None:
         data[SURVEY_FILE] = to_csv(SurveyLine._fields, zip(*(a.tolist() for a in run.surveyed), strict=True))
     place.remove(_OF_A_RUN)
@@ -182,13 +183,17 @@ def netcdf(run: Run) -> bytes:
     # a variable of fixed dimensions is limited to 2 GiB, one along the unlimited dimension to 2 GiB per saved time
     for dimension, size in (("time", None), ("node", run.x.size), ("cell", run.x_cell.size)):
         file.createDimension(dimension, size)
-    for name, (dimensions, attributes) in FIELDS.items():
+    fields = run.fields
+    for name, (dimensions, values, attributes) in fields.items():
         variable = file.createVariable(name, "f8", dimensions)
-        variable[:] = getattr(run, name)
-        for attribute, value in attributes.items():
-            setattr(variable, attribute, value)
-        if len(dimensions) == 2:
-            variable.coordinates = "x_cell" if dimensions[1] == "cell" else "x"
+        variable[:] = values
+        for attribute, text in attributes.items():
+            setattr(variable, attribute, text.encode())
+        if len(dimensions) == 2:  # all coordinates along these dimensions except the dimensions themselves
+            along = [
+                n for n, (dims, *_) in fields.items() if n in COORDINATES and n not in dims and dims[0] in dimensions
+            ]
+            variable.coordinates = " ".join(along)
     file.flush()
     data = buffer.getvalue()
     file.close()
@@ -225,8 +230,7 @@ def summary(run: Run) -> dict[str, Any]:
     if run.error_estimate is not None:
         content["error_estimate"] = run.error_estimate
     if run.units:
-        content["units"] = run.units.table
-        content["units"]["volume_of_one"] = run.units.volume
+        content["units"] = {"unit": ""} | run.units.attributes | {"volume_of_one": run.units.volume}
     if run.account:
         content["account"] = run.account
     return content
@@ -283,7 +287,7 @@ def load_run(folder: str | Path) -> Run:
     try:
         arrays, attributes = read_profile(folder / "profile.nc")
         text = {name: attributes[name].decode() for name in ("method", "case", "status")}
-        units = Units.stored(attributes)
+        units = Units.from_attributes(attributes)
         content = json.loads((folder / "summary.json").read_text(encoding="utf-8"), parse_constant=_no_number)
         bounds = {name: _verdict(table) for name, table in content["bounds"].items()}
         cautions = len(content["warnings"]) - sum(not bound.holds for bound in bounds.values())
@@ -345,10 +349,11 @@ def _table(folder: Path, name: str, kind: type[_Row]) -> list[_Row]:
         reader = csv.DictReader(stream, strict=True)
         rows = list(reader)
     columns: Any = kind._fields  # type: ignore[attr-defined]
-    if reader.fieldnames != list(columns) or any(None in row or None in row.values() for row in rows):
+    known = list(columns), names_with_survey_columns(columns)  # without units, and with them
+    if reader.fieldnames not in known or any(None in row or None in row.values() for row in rows):
         raise ValueError(f"{name} must have the columns {', '.join(columns)}")
     try:
-        return [kind(**{n: _OF_COLUMN.get(n, _float)(text) for n, text in row.items()}) for row in rows]
+        return [kind(**{n: _OF_COLUMN.get(n, _float)(row[n]) for n in columns}) for row in rows]
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
 

@@ -18,16 +18,26 @@ from hjprofile.files import write_whole
 from hjprofile.output.archive import pack, unpack
 from hjprofile.output.folder import MEMBERS, ResultFolder, owner_of
 from hjprofile.output.store import to_csv, to_json
+from hjprofile.output.survey_columns import in_survey_units, survey_columns
 from hjprofile.problem.case_files import find_case
 from hjprofile.problem.ranges import instance, plain, shown
+from hjprofile.problem.units import SAME, UNNAMED, Units
 from hjprofile.solvers.run import Array
-from hjprofile.studies.sweep import QUANTITIES, Member, Outcome, members, run_members, text_of
+from hjprofile.studies.sweep import QUANTITIES, Member, Outcome, held, members, run_members, text_of
 
 KEPT = "members"  # subfolder of the stored members
 SHOWN = 14  # rows of the account
+LENGTHS = (
+    "crest_lowering",
+    "largest_lowering",
+    "largest_rise",
+    "kink_x",
+    "error_estimate",
+)  # the other quantities with units are areas
 LARGEST_VARIABLE = 2**31  # bytes of a netCDF-3 variable without an unlimited dimension, as scipy writes it
 _IN_ACCOUNT = ("eroded_volume", "toe_outflow", "largest_lowering", "kinks_at_end")
-_COLUMNS = ("status", "method", *QUANTITIES, "broken_bounds", "wall_seconds")
+_IN_UNITS = ("end_survey", "eroded_volume_survey", "toe_outflow_survey", "largest_lowering_survey")  # if units differ
+_OF_SURVEYS = survey_columns(QUANTITIES)  # name -> the quantity that is converted
 
 
 @dataclass(frozen=True)
@@ -41,6 +51,9 @@ class Sweep:
         outcomes: the outcome of each member, in the same order.
         x: the nodes, if all members share them and their heights fit in one netCDF variable, else None.
         recalled: the number of members that were taken from an earlier sweep.
+        units: the units of each member; None for a member without a survey, and for a rejected one.
+        distance: the nodes in the survey's unit, if all members share them to rounding, else None.
+        held: a sentence on keys that change with the varied ones, or "".
     """
 
     name: str
@@ -50,6 +63,9 @@ class Sweep:
     outcomes: Sequence[Outcome]
     x: Array | None
     recalled: int
+    units: Sequence[Units | None] = ()
+    distance: Array | None = None
+    held: str = ""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -58,7 +74,26 @@ class Sweep:
 
     def quantity(self, name: str) -> Array:
         """Return a numeric column of sweep.csv over the grid of the values, `shape`; NaN for a failed member."""
-        return np.array([o.quantities.get(name, np.nan) for o in self.outcomes]).reshape(self.shape)
+        return np.array([self.value(i, name) for i in range(len(self.outcomes))]).reshape(self.shape)
+
+    def value(self, i: int, name: str) -> float:
+        """Return a numeric column of sweep.csv for the member i; NaN if it failed."""
+        found = self.outcomes[i].quantities
+        if name not in _OF_SURVEYS:
+            return found.get(name, np.nan)
+        units = self.units[i] if self.units else None
+        return in_survey_units(_OF_SURVEYS[name], found.get(_OF_SURVEYS[name], np.nan), units) if units else np.nan
+
+    @property
+    def surveyed(self) -> bool:
+        """True if a member has units."""
+        return any(self.units)
+
+    @property
+    def columns(self) -> list[str]:
+        """The columns of sweep.csv after those of the varied keys."""
+        added = _OF_SURVEYS if self.surveyed else ()
+        return ["status", "method", *QUANTITIES, "broken_bounds", "wall_seconds", *added]
 
 
 def sweep(
@@ -135,11 +170,24 @@ def sweep(
     found_all = [outcomes[i] for i in range(len(made))]
     fits = sum(m.grid.nodes.nbytes for m in made if m.grid) < LARGEST_VARIABLE
     x = grids.pop().nodes if len(grids) == 1 and fits else None
-    result = Sweep(made[0].name, title, choices, [m.values for m in made], found_all, x, recalled)
+    result = Sweep(
+        made[0].name, title, choices, [m.values for m in made], found_all, x, recalled,
+        units=[m.units for m in made], distance=_shared_ground(made) if fits else None, held=held(choices, made),
+    )  # fmt: skip
     if place:
-        table = to_csv([*choices, *_COLUMNS], _rows(result))
+        table = to_csv([*choices, *result.columns], _rows(result))
         place.write({"sweep.nc": netcdf(result), "sweep.csv": table})
     return result
+
+
+def _shared_ground(made: Sequence[Member]) -> Array | None:
+    """Return the nodes of the members in the survey's unit; None if they differ by more than rounding."""
+    nodes = [m.units.x(m.grid.nodes) for m in made if m.grid and m.units]
+    if not nodes or any(m.grid and not m.units for m in made):
+        return None
+    near = SAME * float(np.ptp(nodes[0]))
+    same = all(x.shape == nodes[0].shape and np.abs(x[[0, -1]] - nodes[0][[0, -1]]).max() <= near for x in nodes)
+    return nodes[0] if same else None
 
 
 def _list(key: str, values: Any) -> list[Any]:
@@ -175,10 +223,12 @@ def _number(value: float | None) -> float:
 
 
 def _rows(result: Sweep) -> Iterator[tuple]:
-    for values, o in zip(result.values, result.outcomes, strict=True):
+    added = _OF_SURVEYS if result.surveyed else ()
+    for i, (values, o) in enumerate(zip(result.values, result.outcomes, strict=True)):
         numbers = (_plain(o.quantities.get(name)) for name in QUANTITIES)
         cells = (v if isinstance(v, (int, float)) and not isinstance(v, bool) else text_of(v) for v in values)
-        yield *cells, o.status, o.method, *numbers, o.broken_bounds, o.wall_seconds
+        in_units = (result.value(i, name) if o.done else None for name in added)
+        yield *cells, o.status, o.method, *numbers, o.broken_bounds, o.wall_seconds, *in_units
 
 
 def _plain(value: float | None) -> Any:
@@ -225,8 +275,7 @@ def netcdf(result: Sweep) -> bytes:
             put_texts(f"{name}_label", (name,), [text_of(v) for v in values], key)
             labels.append(f"{name}_label")
     with_labels = {"coordinates": " ".join(labels)} if labels else {}
-    for name, long_name in QUANTITIES.items():
-        put(name, "f8", dimensions, result.quantity(name), long_name=long_name, units="1", **with_labels)
+    _put_quantities(put, result, dimensions, with_labels)
     texts = {
         "status": ("done, or the reason of the failure", [o.status for o in result.outcomes]),
         "method": ("method of the member", [o.method for o in result.outcomes]),
@@ -236,22 +285,63 @@ def netcdf(result: Sweep) -> bytes:
         variable = put_texts(name, dimensions, values, long_name)
         for attribute, value in with_labels.items():
             setattr(variable, attribute, value)
-    if result.x is not None:
-        file.createDimension("x", result.x.size)
-        long_name = "distance from the crest, positive uphill"
-        put("x", "f8", ("x",), result.x, long_name=long_name, units="1", axis="X")
-        nothing = np.full(result.x.size, np.nan)
-        u = np.array([nothing if o.u is None else o.u for o in result.outcomes]).reshape(*result.shape, -1)
-        put("u", "f8", (*dimensions, "x"), u, long_name="height at the last saved time", units="1", **with_labels)
+    _put_heights(file, put, result, dimensions, with_labels)
     file.flush()
     data = buffer.getvalue()
     file.close()
     return data
 
 
+def _unit_of(result: Sweep) -> str:
+    """Return the name of the unit of length of all members; "" if they have none, or several."""
+    names = {units.unit for units in result.units if units}
+    return names.pop() if len(names) == 1 else ""
+
+
+def _put_quantities(
+    put: Callable[..., Any], result: Sweep, dimensions: tuple[str, ...], labels: dict[str, str]
+) -> None:
+    """Add the quantities to a netCDF file, then those in the survey's units if there are any."""
+    for name, long_name in QUANTITIES.items():
+        put(name, "f8", dimensions, result.quantity(name), long_name=long_name, units="1", **labels)
+    unit = _unit_of(result)
+    for name, source in (_OF_SURVEYS if result.surveyed else {}).items():
+        power = "" if source in LENGTHS else "2"
+        known = {"units": f"{unit}{power}".encode()} if unit else {}
+        about = f"{QUANTITIES[source]}, in the survey's units{' per unit width' if power else ''}"
+        put(name, "f8", dimensions, result.quantity(name), long_name=about, **known, **labels)
+
+
+def _put_heights(
+    file: Any, put: Callable[..., Any], result: Sweep, dimensions: tuple[str, ...], labels: dict[str, str]
+) -> None:
+    """Add the nodes that all members share, and the heights there: dimensionless, and in the survey's unit."""
+    kept = [("x", "u", result.x, [o.u for o in result.outcomes])]
+    heights = [units.height(o.u) if units and o.u is not None else None for o, units in zip(
+        result.outcomes, result.units or [None] * len(result.outcomes), strict=True
+    )]  # fmt: skip
+    kept.append(("distance", "height", result.distance, heights))
+    abouts = {
+        "x": "distance from the crest, positive uphill",
+        "u": "height at the last saved time",
+        "distance": "distance along the survey, positive uphill",
+        "height": "height at the last saved time, as surveyed",
+    }
+    for place, name, nodes, found in kept:
+        if nodes is None:
+            continue
+        unit = _unit_of(result) if place == "distance" else "1"
+        known = {"units": unit.encode()} if unit else {}
+        file.createDimension(place, nodes.size)
+        put(place, "f8", (place,), nodes, long_name=abouts[place], axis="X", **known)
+        nothing = np.full(nodes.size, np.nan)
+        data = np.array([nothing if h is None else h for h in found]).reshape(*result.shape, -1)
+        put(name, "f8", (*dimensions, place), data, long_name=abouts[name], **known, **labels)
+
+
 def report(result: Sweep) -> dict[str, Any]:
     """Return the table as a dictionary: a row for each member, with the columns of `sweep.csv`."""
-    columns = [*result.vary, *_COLUMNS]
+    columns = [*result.vary, *result.columns]
     members = [dict(zip(columns, row, strict=True)) for row in _rows(result)]
     return {"case": result.name, "title": result.title, "recalled": result.recalled, "members": members}
 
@@ -263,14 +353,21 @@ def account(result: Sweep) -> str:
     counts = f"{len(result.outcomes)} members, {done} done"
     counts += f" ({result.recalled} of them in an earlier sweep)" if result.recalled else ""
     lines = [f"{result.title}: {counts}, {len(failed)} failed"]
-    table = [[*result.vary, *_IN_ACCOUNT]]
-    for values, o in list(zip(result.values, result.outcomes, strict=True))[:SHOWN]:
-        numbers = [f"{o.quantities[n]:.6g}" for n in _IN_ACCOUNT] if o.done else ["failed", "", "", ""]
+    known = [units for units in result.units if units]
+    shown = _IN_UNITS if any(not units.same(known[0]) for units in known) else _IN_ACCOUNT
+    table = [[*result.vary, *shown]]
+    for i, (values, o) in list(enumerate(zip(result.values, result.outcomes, strict=True)))[:SHOWN]:
+        numbers = [f"{result.value(i, n):.6g}" for n in shown] if o.done else ["failed", "", "", ""]
         table.append([*(text_of(v) for v in values), *numbers])
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines += ["  " + "  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in table]
     if len(result.outcomes) > SHOWN:
         lines.append(f"  ... and {len(result.outcomes) - SHOWN} more")
+    if shown is _IN_UNITS:
+        unit = _unit_of(result) or UNNAMED
+        lines.append(f"  columns that end in _survey: lengths in {unit}, volumes per unit width in {unit}²")
+    if result.held:
+        lines.append(f"  {result.held}")
     if failed:
         which = ", ".join(f"{key} = {text_of(v)}" for key, v in zip(result.vary, failed[0][0], strict=True))
         lines.append(f"  first failure, at {which}: {failed[0][1]}")

@@ -20,7 +20,7 @@ from hjprofile.problem.given import from_file
 from hjprofile.problem.grid import FEWEST_CELLS, Grid
 from hjprofile.problem.kinds import COUNT_OR_TIMES, NUMBER, POSITIVE, SWITCH, TABLE, TEXT, WHOLE
 from hjprofile.problem.profiles import TAIL, Profile
-from hjprofile.problem.ranges import number, plain, shown, whole
+from hjprofile.problem.ranges import RANGES, number, plain, shown, whole
 from hjprofile.problem.schema import SECTIONS, Choice, Choices, Faults, Key, Table, to_table
 from hjprofile.problem.survey import survey
 
@@ -44,7 +44,10 @@ LINES = Choices(
     Choice("half", (Key("left", NUMBER, None), CELLS, Key("right", NUMBER, 0.0))),
     Choice("whole", (Key("left", NUMBER), CELLS, Key("right", NUMBER))),
 )
-TIME = Key("end", NUMBER, check=number), Key("snapshots", COUNT_OR_TIMES, 31, filled=True)
+SNAPSHOTS = Key("snapshots", COUNT_OR_TIMES, 31, filled=True)
+TIME = Key("end", NUMBER, check=number), Key("supplied", NUMBER, None, check=number), SNAPSHOTS
+OF_VOLUME = Key("end", NUMBER, None), Key("supplied", NUMBER, check=number), SNAPSHOTS  # a [time] that states a volume
+ALTERNATIVES = {"time.end": "time.supplied", "time.supplied": "time.end"}  # each replaces the other
 SOLVER = (
     Key("method", TEXT, DEFAULT_METHOD, filled=True),
     Key("cfl", POSITIVE, DEFAULT_CFL, filled=True, check=number),
@@ -74,6 +77,8 @@ class Case:
         vtk, plots: True if VTK files and pictures are written in addition to `profile.nc` and the tables.
         checkpoint: seconds between two checkpoints of a run on a grid.
         expect: the values that the test of the case asserts.
+        supplied: the supplied volume per unit width, in the survey's unit squared, if the case states it in place of
+            the end; else None.
 
     >>> import hjprofile as hj
     >>> case = hj.load_case("two_kinks")
@@ -93,6 +98,7 @@ class Case:
     checkpoint: float = DEFAULT_CHECKPOINT
     expect: Mapping[str, Any] | None = None
     refresh: float | None = None
+    supplied: float | None = None
 
 
 def load_case(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Case:
@@ -101,7 +107,7 @@ def load_case(path: str | Path, overrides: Mapping[str, Any] | None = None) -> C
     Args:
         path: the path of a TOML file, or the name of a case that comes with the package.
         overrides: values that replace those of the file, by dotted key; numbers and arrays of numpy and tuples are
-            accepted.
+            accepted. Of `time.end` and `time.supplied` each replaces the other.
 
     Returns:
         The case.
@@ -114,14 +120,26 @@ def load_case(path: str | Path, overrides: Mapping[str, Any] | None = None) -> C
     500
     """
     path = find_case(path)
-    content = read_case(path)
-    for key, value in _overriding(overrides).items():
+    content = with_values(read_case(path), _overriding(overrides))
+    return parse_case(content, name=path.stem, source=str(path), base=path.parent)
+
+
+def with_values(content: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a copy of the tables of a case with these values by dotted key.
+
+    A value of `time.end` replaces `time.supplied`, and the reverse, unless both are among the values.
+    """
+    tables = {name: dict(table) if isinstance(table, dict) else table for name, table in content.items()}
+    for key, value in values.items():
         section, dot, name = key.partition(".")
         if not dot:
-            content[key] = value
-        elif isinstance(content.setdefault(section, {}), dict):
-            content[section][name] = value
-    return parse_case(content, name=path.stem, source=str(path), base=path.parent)
+            tables[key] = value
+        elif isinstance(tables.setdefault(section, {}), dict):
+            tables[section][name] = value
+            other = ALTERNATIVES.get(key)
+            if other and other not in values:
+                tables[section].pop(other.partition(".")[2], None)
+    return tables
 
 
 def _overriding(overrides: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -146,10 +164,10 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
     profile = PROFILES.build(sections["profile"], base)
     given = COEFFICIENTS.build(sections["coefficient"], base) if "coefficient" in content else None
     layer, domain = sections["layer"].take(LAYER), LINES.read(sections["domain"])
-    time, solver = sections["time"].take(TIME), sections["solver"].take(SOLVER)
+    time, solver = _time(sections["time"]), sections["solver"].take(SOLVER)
     output = sections["output"].take(OUTPUT)
     grid = _grid(sections["domain"], domain, profile, solver["tolerance"])
-    problem = _timed(sections["time"], time, top["title"])
+    problem = _timed(sections["time"], time, top["title"], profile)
     if grid and problem:
         with sections["domain"].noting():
             grid.check_memory(problem.kept)
@@ -158,7 +176,7 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
         problem = _together(sections, problem, grid, given, layer | domain)
     faults.stop()
     assert grid and problem  # `stop` has raised otherwise
-    return Case(name, source, problem, grid, **solver, **output, expect=dict(top["expect"]))
+    return Case(name, source, problem, grid, **solver, **output, expect=dict(top["expect"]), supplied=time["supplied"])
 
 
 def _sections(faults: Faults, content: Mapping[str, Any], name: str) -> tuple[dict[str, Any], dict[str, Table]]:
@@ -184,11 +202,38 @@ def _grid(table: Table, domain: Mapping[str, Any], profile: Profile | None, tole
     return None
 
 
-def _timed(table: Table, time: Mapping[str, Any], title: str) -> Problem | None:
-    """Return a problem with the times of a [time]; its law and profile are placeholders."""
+def _time(table: Table) -> dict[str, Any]:
+    """Return the values of a [time], which has either `end` or `supplied`."""
+    time = table.take(OF_VOLUME if "supplied" in table.values else TIME)
+    if "end" in table.values and "supplied" in table.values:
+        table.error("end and supplied are both given; a case has one of them, so remove the other")
+    return time
+
+
+def _timed(table: Table, time: Mapping[str, Any], title: str, profile: Profile | None) -> Problem | None:
+    """Return a problem with the times of a [time]; its law and profile are placeholders.
+
+    A supplied volume is divided by the unit of volume of the profile. Return None if either is at fault.
+    """
+    end, supplied = time["end"], time["supplied"]
+    if table.sound and supplied is not None:
+        if profile is None:
+            return None
+        if profile.units is None:
+            table.error(
+                f"supplied = {supplied:g} needs a profile with units, as a survey has them; state end, which is "
+                "dimensionless, for this profile"
+            )
+            return None
+        end = supplied / profile.units.volume
     with table.noting():
         if table.sound:
-            return Problem(erosion.rational(), profiles.kinks([-1.0], [1.0]), title=title, **time)
+            if supplied is not None and not RANGES["end"].holds(end):
+                raise InputError(
+                    f"supplied = {supplied:g} is end = {end:g} in units of length² critical_slope; end must be "
+                    f"{RANGES['end'].words}"
+                )
+            return Problem(erosion.rational(), profiles.kinks([-1.0], [1.0]), end, time["snapshots"], title)
     return None
 
 

@@ -152,7 +152,7 @@ def stored_coefficient(result: str | Path, base: Path = Path()) -> Coefficient:
     path = located(base, as_path("result", result)) / "profile.nc"
     try:
         arrays, attributes = read_profile(path)
-        units = Units.stored(attributes)
+        units = Units.from_attributes(attributes)
     except OSError as error:
         why = error.strerror or error
         raise InputError(f"result = {str(result)!r} is not a result folder: {path} cannot be read: {why}") from None

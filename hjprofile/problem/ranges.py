@@ -40,6 +40,7 @@ _DOWNHILL = Range(-1e9, -1e-9, "a negative number, because the crest is at x = 0
 _SLOPE = Range(-1e8, 1e8, "a finite number, at most 1e8 in size")
 RANGES = {  # docs/cases.md has the same table
     "end": Range(1e-300, 1e12, "a number, 0 or more, from 1e-300 to 1e12 if not 0", zero=True),
+    "supplied": Range(1e-300, 1e36, "a number, 0 or more, from 1e-300 to 1e36 if not 0", zero=True),
     "supply_flux": Range(1e-300, 1e6, "a number, 0 or more, from 1e-300 to 1e6 if not 0", zero=True),
     "left": _DOWNHILL,
     "left of a window": _PLACE,

@@ -27,6 +27,7 @@ FIELDS: dict[str, tuple[tuple[str, ...], dict[str, str]]] = {  # name -> dimensi
     "q": (("time", "cell"), {"long_name": "excess slope du/dx - 1, mean over the cell", "units": "1"}),
     "K": (("time", "node"), {"long_name": "grain flux relative to the supply", "units": "1"}),
 }
+COORDINATES = "time", "x", "x_cell", "supplied_volume", "distance", "distance_cell"
 
 
 class State(NamedTuple):
@@ -277,19 +278,28 @@ class Run:
         """Global attributes of `profile.nc` and `to_xarray`: title, method, status, case as TOML, units of a survey."""
         text = {"Conventions": "CF-1.8", "title": self.title, "method": self.method, "status": self.status}
         text |= {"case": to_toml(self.case), "hjprofile_version": hjprofile.__version__}
-        return text | (self.units.table if self.units else {})
+        return text | (self.units.attributes if self.units else {})
+
+    @property
+    def fields(self) -> dict[str, tuple[tuple[str, ...], Array, dict[str, str]]]:
+        """The variables of `profile.nc` and `to_xarray`: name -> dimensions, values, CF attributes."""
+        found = {name: (dims, getattr(self, name), about) for name, (dims, about) in FIELDS.items()}
+        if self.units is None:
+            return found
+        return found | self.units.fields(self.time, self.x, self.x_cell, self.u)
 
     def to_xarray(self) -> xarray.Dataset:
         """Return an `xarray.Dataset` of u, q and K, as `xarray` reads it from `profile.nc`.
 
-        Its dimensions are `time` and `node` or `cell`, with the coordinates `x` and `x_cell`. The method requires
-        xarray, which is not a dependency of hjprofile. The arrays are shared with the run and read-only; those of
-        `.copy(deep=True)` are writable.
+        Its dimensions are `time` and `node` or `cell`, with the coordinates `x` and `x_cell`. The run of a survey has
+        the variable `height` and the coordinates `distance`, `distance_cell` and `supplied_volume` too. The method
+        requires xarray, which is not a dependency of hjprofile. The arrays are shared with the run and read-only; those
+        of `.copy(deep=True)` are writable.
         """
         import xarray
 
-        arrays = {name: (dims, getattr(self, name), about) for name, (dims, about) in FIELDS.items()}
-        coordinates = {name: arrays.pop(name) for name in ("time", "x", "x_cell")}
+        arrays = self.fields
+        coordinates = {name: arrays.pop(name) for name in [*arrays] if name in COORDINATES}
         return xarray.Dataset(arrays, coordinates, self.attributes)
 
     def meets(self, tolerance: float) -> bool:

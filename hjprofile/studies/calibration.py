@@ -39,6 +39,7 @@ MOST_STEPS = 60
 FARTHEST = float(np.log(1e6))  # largest distance of a trial from the starting values, in the logarithm
 SECTIONS = "erosion", "profile", "time"
 VOLUME = "supplied_volume"
+SUPPLIED = "time.supplied"
 
 
 class Parameter(NamedTuple):
@@ -58,7 +59,8 @@ class Calibration:
     Attributes:
         parameters: the varied ones, in the order of `vary`.
         volume: the supplied volume per unit width, length² critical_slope end; None if the case has no survey, or if
-            none of these three was varied.
+            it was not varied: by one of these three, or by `time.supplied`. A case that states `supplied` holds the
+            volume fixed when the length or the critical slope is varied.
         correlation: of the logarithms of the parameters, shape (parameters, parameters).
         x, measured, modelled: the surveyed points on the slope, and the heights of the model there.
         sigma: standard deviation of a measured height: as given, else estimated from the residuals.
@@ -114,6 +116,9 @@ class _Model:
             for key, value in self.table[section].items()
             if isinstance(value, float) and value > 0.0
         }
+        units = self.first.problem.profile.units
+        if units and self.first.problem.end > 0.0:
+            offered[SUPPLIED] = self.first.supplied or units.volume * self.first.problem.end
         for name in self.names:
             if name not in offered:
                 hint = did_you_mean(name, by_last_part(offered)) or ";"
@@ -127,8 +132,8 @@ class _Model:
         taken = METHODS["fronts"].supports - {Feature.WHOLE_LINE}
         require(f"{path}: a fit, made by fronts,", taken, requirements(self.first.problem, self.first.refresh))
         self.start = np.array([offered[name] for name in self.names])
-        self.surveyed = self.first.problem.profile.units is not None
-        self.units = self.first.problem.profile.units or Units(1.0, 1.0, 0.0, 0.0)
+        self.surveyed = units is not None
+        self.units = units or Units(1.0, 1.0, 0.0, 0.0)
         self.evaluations = 0
 
     def overrides(self, z: Array) -> dict[str, Any]:
@@ -143,7 +148,10 @@ class _Model:
     def heights(self, z: Array, x: Array, end: float | None = None, fronts: int = 0) -> Array:
         """Return the heights at x, in the survey's units, at the end or at another time `end`."""
         self.evaluations += 1
-        changed = self.overrides(z) | ({} if end is None else {"time.end": end})
+        changed = self.overrides(z)
+        if end is not None:
+            changed.pop(SUPPLIED, None)
+            changed["time.end"] = end
         case = load_case(self.path, changed)
         units = case.problem.profile.units or self.units
         place = np.clip(units.place(x), case.grid.left, 0.0)
@@ -172,8 +180,13 @@ class _Model:
         return (ahead - back) / (2.0 * STEP)
 
     def powers_in_volume(self) -> Array:
-        """Return d ln(length² critical_slope end)/dz."""
+        """Return d ln(supplied volume)/dz.
+
+        The volume is length² critical_slope end, unless the case or the fit states the volume itself.
+        """
         powers = {"profile.length": 2.0, "profile.critical_slope": 1.0, "time.end": 1.0}
+        if SUPPLIED in self.names or (self.first.supplied is not None and "time.end" not in self.names):
+            powers = {SUPPLIED: 1.0}
         return np.array([powers.get(name, 0.0) for name in self.names])
 
     def fitted(self, z: Array) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, as_completed
 from itertools import product
 from pathlib import Path
@@ -13,14 +13,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hjprofile.errors import InputError, RunError, by_last_part, did_you_mean
-from hjprofile.problem.case import Case, parse_case
+from hjprofile.problem.case import Case, parse_case, with_values
 from hjprofile.problem.case_files import find_case, read_case
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.identity import digest_of
+from hjprofile.problem.ranges import as_number
+from hjprofile.problem.units import Units
 from hjprofile.solvers.run import Array, Run
 from hjprofile.solvers.solve import check_case, solve_case
 
 MOST_MEMBERS = 100_000  # largest number of members; each is built before the first is run
+LENGTH = "profile.length"
+ENDS = "left", "right"  # keys of [domain], in exchange lengths
 _UNREAD = ("title", "output", "expect")  # sections of a case that do not change its run
 
 QUANTITIES = {  # name -> description
@@ -56,6 +60,8 @@ class Member(NamedTuple):
         grid: of the case; None if it was rejected.
         identity: a hash that distinguishes it from every other run.
         refused: the reason for a rejection, or "".
+        units: of a survey; None if the profile has none, or if the case was rejected.
+        moved: the ends of the grid that move with the varied length, as keys of [domain].
     """
 
     values: tuple[Any, ...]
@@ -66,6 +72,8 @@ class Member(NamedTuple):
     grid: Grid | None = None
     identity: str = ""
     refused: str = ""
+    units: Units | None = None
+    moved: tuple[str, ...] = ()
 
 
 class Outcome(NamedTuple):
@@ -144,17 +152,45 @@ def text_of(value: Any) -> str:
 
 def _member(path: Path, content: Mapping[str, Any], values: Mapping[str, Any]) -> Member:
     """Return the member with these values, with the reason if it is rejected."""
-    tables = {name: dict(table) if isinstance(table, dict) else table for name, table in content.items()}
-    for key, value in values.items():
-        section, name = key.split(".")
-        tables.setdefault(section, {})[name] = value
-    member = Member(tuple(values.values()), tables, path.stem, str(path), path.resolve().parent)
+    moved = _same_ground(content, values)
+    tables = with_values(content, dict(values) | {f"domain.{name}": end for name, end in moved.items()})
+    member = Member(tuple(values.values()), tables, path.stem, str(path), path.resolve().parent, moved=tuple(moved))
     try:
         case = parse_case(tables, path.stem, str(path), member.base)
         check_case(case)
     except InputError as error:
         return member._replace(refused="; ".join(map(str, error.faults)))
-    return member._replace(grid=case.grid, identity=digest_of(case))
+    return member._replace(grid=case.grid, identity=digest_of(case), units=case.problem.profile.units)
+
+
+def _same_ground(content: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, float]:
+    """Return the ends of the grid that the case states, for the exchange length of a member.
+
+    Ends are in exchange lengths, so they change as 1/length to hold their positions in the survey. Return {} if the
+    length is not varied.
+    """
+    domain, profile = content.get("domain", {}), content.get("profile", {})
+    if LENGTH not in values or not isinstance(domain, dict) or not isinstance(profile, dict):
+        return {}
+    stated, wanted = as_number(profile.get("length")), as_number(values[LENGTH])
+    if not (0.0 < stated < np.inf and 0.0 < wanted < np.inf):  # the checks of the member reject it
+        return {}
+    ends = {name: as_number(domain.get(name)) for name in ENDS if f"domain.{name}" not in values}
+    return {name: stated / wanted * end for name, end in ends.items() if np.isfinite(end)}
+
+
+def held(vary: Mapping[str, Any], made: Sequence[Member]) -> str:
+    """Return a sentence on what all members share although a unit varies: the ground and the supplied volume; or ""."""
+    sentences = []
+    if moved := made[0].moved:
+        ends = " and ".join(f"domain.{name}" for name in moved)
+        sentences.append(f"in each member {ends} times {LENGTH} is constant: all grids cover the same ground")
+    supplied = made[0].content.get("time", {}).get("supplied")
+    if supplied is not None and "time.supplied" not in vary and {LENGTH, "profile.critical_slope"} & set(vary):
+        named = next((m.units.unit for m in made if m.units and m.units.unit), "")
+        unit = f" {named}²" if named else ""
+        sentences.append(f"every member is supplied with the same volume per unit width, {supplied:g}{unit}")
+    return "; ".join(sentences)
 
 
 def run_member(member: Member) -> Outcome:

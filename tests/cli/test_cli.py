@@ -142,6 +142,14 @@ def test_a_shipped_case_by_name_and_its_survey_units(in_tmp, call):
     assert f"({abs(run.eroded_volume) * 200**2 * 0.257:.4g} in the survey's units, per unit width)" in out
 
 
+def test_the_account_names_the_unit_of_a_survey():
+    case = load_case("hillslope", {"domain.cells": 260, "time.supplied": 3084.0})
+    run = solve_case(case)
+    text = run_command._account(dataclasses.replace(run, units=dataclasses.replace(run.units, unit="m")))
+    assert "to t = 0.3 (supplied: 3084 m² per unit width)\n" in text
+    assert f"({abs(run.eroded_volume) * 200**2 * 0.257:.0f} m² per unit width)\n" in text
+
+
 def test_the_account_says_what_was_done_to_the_data(folder, call):
     (folder / "slope.csv").write_text("x,height\n0,0\n100,60\n200,50\n300,200\n")
     survey = {"kind": "survey", "file": "slope.csv", "critical_slope": 0.6, "length": 100.0, "repair": "isotonic"}

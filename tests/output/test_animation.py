@@ -1,5 +1,6 @@
 """A run as a moving picture: every saved time, nothing else; whole or not at all."""
 
+import dataclasses
 import io
 import os
 import sys
@@ -60,6 +61,14 @@ def test_every_saved_time_is_shown(name):
         assert moving[-3].get_text().startswith("supplied ")
         assert float(moving[-3].get_text().split()[1].replace(",", "")) == pytest.approx(poured, rel=0.01, abs=0.5)
     assert_legible(figure)
+
+
+@pytest.mark.parametrize(("unit", "words"), [("", "survey units²"), ("m", "m²")])
+def test_the_unit_of_areas_is_named(unit, words):
+    run = solved("survey")
+    figure, _, _ = film._animated_figure(dataclasses.replace(run, units=dataclasses.replace(run.units, unit=unit)))
+    assert f"areas and supplied volume per width in {words}" in [text.get_text() for text in figure.texts]
+    assert figure.axes[1].get_xlabel() == f"x ({words[:-1]})"
 
 
 def test_colours_of_the_areas_grow():

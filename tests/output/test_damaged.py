@@ -5,6 +5,7 @@ import io
 import json
 import random
 import shutil
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from hjprofile.errors import InputError
 from hjprofile.output import sweep_results as sweeps
 from hjprofile.output.archive import pack, unpack
 from hjprofile.output.folder import RECORD, Owner, ResultFolder
+from hjprofile.problem.units import Units
 from hjprofile.studies.sweep import members
 
 COPIES = 100
@@ -30,10 +32,11 @@ def solved(name):
         law, profile = hj.expression("q + q/(1+q)", growth="linear"), hj.kinks([-1.5, -1.2], [3.0, 5.0])
         return hj.track_fronts(hj.Problem(law, profile, end=0.5, snapshots=4), hj.Grid(-2.0, 40))
     profile = hj.kinks([-1.0, -0.7], [0.4, 1.2])  # a merge and an exit
-    return hj.solve_hj(hj.Problem(hj.rational(), profile, end=2.0, snapshots=4, title="Two kinks"), hj.Grid(-2.0, 40))
+    run = hj.solve_hj(hj.Problem(hj.rational(), profile, end=2.0, snapshots=4, title="Two kinks"), hj.Grid(-2.0, 40))
+    return replace(run, units=Units(200.0, 0.25, 1000.0, 450.0, unit="m")) if name == "survey" else run
 
 
-@pytest.fixture(params=["kinks", "steps"])
+@pytest.fixture(params=["kinks", "steps", "survey"])
 def stored(request, tmp_path):
     hj.write_run(solved(request.param), tmp_path / "run", vtk=False, plots=False)
     return tmp_path / "run", solved(request.param)

@@ -166,6 +166,24 @@ def test_what_is_poured_on_a_survey_is_a_volume_in_its_units(draw):
         assert axes.get_ylabel() == label
 
 
+@draw
+def test_a_unit_with_a_name_is_in_every_label(draw):
+    run = solved("survey")
+    figure = draw(dataclasses.replace(run, units=dataclasses.replace(run.units, unit="ft")))
+    figure.canvas.draw()
+    assert_legible(figure)
+    labels = {text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel())} - {""}
+    expected = {
+        draw_profiles: {
+            "x (ft)", "height (ft)", "change of height\n(ft)", "excess slope q", "supplied volume per width (ft²)"
+        },
+        draw_diagram: {"x (ft)", "supplied volume per width (ft²)", "excess slope q"},
+        draw_factor: {"x (ft)", "supplied volume per width (ft²)", "grain flux K\nrelative to the supply"},
+    }[draw]  # fmt: skip
+    assert labels == expected
+    assert all(" ft²)" in key for key in keys_of(figure) if "area" in key)
+
+
 @pytest.mark.parametrize(("length", "last"), [(0.2, "0.005"), (200.0, "5,000"), (40000.0, "2e8")])
 def test_numbers_of_a_volume_have_room(length, last):
     """Kilometres, metres, and a survey in feet of a slope far larger than any."""
@@ -331,6 +349,10 @@ def test_a_fit_is_legible_and_says_what_it_found():
     value, low, high = (float(word.strip(",").replace(",", "")) for word in np.array(lines[1].split())[[2, 3, 5]])
     assert low < found.volume.value < high and value == pytest.approx(found.volume.value, abs=0.5)
     assert len(keys_of(figure)) == 4 and all(axes.get_ylabel() for axes in figure.axes)
+    assert figure.axes[-1].get_xlabel() == "x (survey units)"
+    named = dataclasses.replace(found, case=found.case | {"profile": found.case["profile"] | {"unit": "m"}})
+    labels = [axes.get_ylabel() for axes in draw_fit(named).axes]
+    assert labels == ["height (m)", "change of height\n(m)", "measured - fitted\n(m)"]
 
 
 def test_a_kink_that_the_grid_loses_is_marked():

@@ -25,6 +25,7 @@ from hjprofile.files import write_whole
 from hjprofile.output.folder import RECORD, Owner, ResultFolder
 from hjprofile.output.store import load_run, summary, to_json, write_run
 from hjprofile.problem.case import parse_case
+from hjprofile.problem.units import Units
 from hjprofile.solvers.solve import solve_case
 
 KINKS = {
@@ -130,7 +131,10 @@ def test_netcdf_in_xarray(run, tmp_path):
             "time": ("time",), "x": ("node",), "x_cell": ("cell",),
             "u": ("time", "node"), "q": ("time", "cell"), "K": ("time", "node"),
         }  # fmt: skip
-        assert {name: data[name].dims for name in data.variables} == shapes
+        of_surveys = {
+            "supplied_volume": ("time",), "distance": ("node",), "distance_cell": ("cell",), "height": ("time", "node")
+        }  # fmt: skip
+        assert {name: data[name].dims for name in data.variables} == shapes | (of_surveys if run.units else {})
         for name in shapes:
             assert data[name].dtype == np.float64
             assert np.array_equal(data[name].values, getattr(run, name)), name  # bitwise
@@ -145,6 +149,53 @@ def test_netcdf_in_xarray(run, tmp_path):
     # 0.6, 123.4, 400.3 and 233.3 are no single-precision numbers (and equal to one only as a Python float)
     assert back == ({name: getattr(run.units, name) for name in numbers} if run.units else {})
     assert data.attrs.get("uphill") == ("right" if run.units else None)
+
+
+@pytest.mark.parametrize("unit", ["", "m", "Fuß"])
+def test_a_run_of_a_survey_has_fields_in_its_unit(home, tmp_path, unit):
+    """Closed forms of the stored x, u and time, to the last bit; CF has no `units` where they are not known."""
+    run = solved("survey", home)
+    length, slope, top, height = 123.4, 0.6, 400.3, 233.3
+    run = dataclasses.replace(run, units=dataclasses.replace(run.units, unit=unit))
+    write_run(run, tmp_path, vtk=False, plots=False)
+    with xarray.open_dataset(tmp_path / "profile.nc") as data:
+        assert np.array_equal(data.distance, top + length * run.x)
+        assert np.array_equal(data.distance_cell, top + length * run.x_cell)
+        assert np.array_equal(data.height, height + length * slope * run.u)
+        assert np.array_equal(data.supplied_volume, length**2 * slope * run.time)
+        units = {name: data[name].attrs.get("units") for name in ("distance", "distance_cell", "height")}
+        assert set(units.values()) == {unit or None}
+        assert data.supplied_volume.attrs.get("units") == (f"{unit}2" if unit else None)
+        assert set(data.coords) == {"time", "x", "x_cell", "distance", "distance_cell", "supplied_volume"}
+        assert set(data.u.coords) == {"time", "x", "distance", "supplied_volume"} == set(data.height.coords)
+        assert set(data.q.coords) == {"time", "x_cell", "distance_cell", "supplied_volume"}
+        xarray.testing.assert_identical(run.to_xarray(), data)
+    back = load_run(tmp_path)
+    assert back.units == run.units
+    stored = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["units"]
+    numbers = {"length": length, "critical_slope": slope, "x_top": top, "height_top": height}
+    assert stored == numbers | {"unit": unit, "uphill": "right", "volume_of_one": length**2 * slope}
+
+
+def test_a_folder_without_the_columns_of_a_survey_is_read(home, tmp_path):
+    """It was written by an older version."""
+    run = solved("survey", home)
+    write_run(run, tmp_path, vtk=False, plots=False)
+    for name, count in (("kinks.csv", 4), ("events.csv", 2)):
+        old = "".join(",".join(row[:-count]) + "\n" for row in rows(tmp_path / name))
+        (tmp_path / name).write_text(old)
+    back = load_run(tmp_path)
+    assert back.events == list(run.events) and [k[:6] for k in back.kinks] == [k[:6] for k in run.kinks]
+    (tmp_path / "kinks.csv").write_text((tmp_path / "kinks.csv").read_text()[1:])
+    with pytest.raises(InputError, match="must have the columns time, kink, x"):
+        load_run(tmp_path)
+
+
+def test_the_name_of_a_unit_may_not_be_a_text(home, tmp_path):
+    run = solved("survey", home)
+    write_run(dataclasses.replace(run, units=dataclasses.replace(run.units, unit="m" * 101)), tmp_path, plots=False)
+    with pytest.raises(InputError, match="the name of a unit has more than 100 characters"):
+        load_run(tmp_path)
 
 
 def test_fields_may_exceed_two_gigabytes(tmp_path):
@@ -195,13 +246,31 @@ def rows(path):
 def test_tables(run, tmp_path):
     write_run(run, tmp_path, vtk=False, plots=False)
     header, *kinks = rows(tmp_path / "kinks.csv")
-    assert ",".join(header) == "time,kink,x,q_left,q_right,jump,speed,rankine_hugoniot_speed"
+    in_units = ",time_survey,x_survey,slope_left,slope_right" if run.units else ""
+    assert ",".join(header) == f"time,kink,x,q_left,q_right,jump,speed,rankine_hugoniot_speed{in_units}"
     values = np.array([[float(v or "nan") for v in row] for row in kinks])
-    np.testing.assert_array_equal(values, np.array(run.kinks, dtype=float))  # bitwise, with NaN for NaN
+    np.testing.assert_array_equal(values[:, :8], np.array(run.kinks, dtype=float))  # bitwise, with NaN for NaN
     assert all(row[1].isdigit() for row in kinks)
     header, *events = rows(tmp_path / "events.csv")
-    assert ",".join(header) == "time,event,kink,into,x"
-    assert [(float(t), e, int(k), int(i) if i else None, float(x)) for t, e, k, i, x in events] == list(run.events)
+    assert ",".join(header) == "time,event,kink,into,x" + (",time_survey,x_survey" if run.units else "")
+    assert [(float(t), e, int(k), int(i) if i else None, float(x)) for t, e, k, i, x, *_ in events] == list(run.events)
+    if run.units:  # closed forms, to the last bit
+        volume, (time, _, x, left, right, *_) = 123.4**2 * 0.6, values.T
+        expected = volume * time, 400.3 + 123.4 * x, 0.6 * (1.0 + left), 0.6 * (1.0 + right)
+        np.testing.assert_array_equal(values[:, 8:].T, expected)
+        found = [[float(value) for value in row[5:]] for row in events]
+        assert found == [[volume * e.time, 400.3 + 123.4 * e.x] for e in run.events]
+
+
+def test_vertical_steps_in_the_unit_of_a_survey(tmp_path):
+    law, profile = hjprofile.expression("q + q/(1+q)", growth="linear"), hjprofile.kinks([-1.5, -1.2], [3.0, 5.0])
+    run = hjprofile.track_fronts(hjprofile.Problem(law, profile, end=0.5, snapshots=4), hjprofile.Grid(-2.0, 40))
+    write_run(dataclasses.replace(run, units=Units(10.0, 0.5, 30.0, 7.0)), tmp_path, vtk=False, plots=False)
+    header, *steps = rows(tmp_path / "vertical_steps.csv")
+    assert ",".join(header) == "time,step,x,height,speed,time_survey,x_survey,height_survey" and steps
+    for row, step in zip(steps, run.vertical_steps, strict=True):
+        assert [float(value) for value in row[5:]] == [50.0 * step.time, 30.0 + 10.0 * step.x, 5.0 * step.height]
+    np.testing.assert_equal(load_run(tmp_path).vertical_steps, run.vertical_steps)
 
 
 def strict(text):

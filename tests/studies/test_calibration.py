@@ -70,6 +70,51 @@ def test_a_survey_without_noise_gives_the_parameters_back(slope):
     )
 
 
+def stating(path, supplied):
+    """The case with the supplied volume in place of the end."""
+    content = SURVEY | {"time": {"supplied": supplied}}
+    return write(path.parent, content, "supplied.toml")
+
+
+def test_a_stated_volume_is_held_fixed(slope):
+    """The length and the slope alone are found from the true volume, and the volume is that of the case."""
+    path, x, height = slope
+    volume = 2.0 * 150.0**2 * 0.45
+    found = hj.fit(stating(path, volume), x, height, ["profile.critical_slope", "profile.length"])
+    assert np.abs(off(found, TRUTH)).max() < 1e-4  # as with a free volume
+    assert found.volume is None  # no parameter changes it
+    p = {parameter.name: parameter.value for parameter in found.parameters}
+    fitted = found.case["time"]["end"] * p["profile.length"] ** 2 * p["profile.critical_slope"]
+    assert fitted == pytest.approx(volume, rel=1e-14)
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_volume_is_fitted(slope, stated):
+    """With or without a volume in the case, `time.supplied` is the volume, which the other parameters do not change."""
+    path, x, height = slope
+    volume, start = 2.0 * 150.0**2 * 0.45, 1.5 * 120.0**2 * 0.55
+    case = stating(path, start) if stated else path
+    found = hj.fit(case, x, height, ["time.supplied", "profile.length", "profile.critical_slope"])
+    first = found.parameters[0]
+    assert (first.name, first.start) == ("time.supplied", pytest.approx(start, rel=1e-14))
+    assert (
+        first.value == pytest.approx(volume, rel=1e-4)
+        and np.abs(off(found, TRUTH | {"time.supplied": volume})).max() < 1e-4
+    )
+    for of_volume, of_parameter in zip(found.volume[1:], first[1:], strict=True):
+        assert of_volume == pytest.approx(of_parameter, rel=1e-9)
+    with pytest.raises(hj.InputError, match="end and supplied are both given"):
+        hj.fit(case, x, height, ["time.supplied", "time.end"])
+
+
+def test_an_end_replaces_a_stated_volume(slope):
+    path, x, height = slope
+    near = {"profile": SURVEY["profile"] | {"critical_slope": 0.45, "length": 150.0}, "time": {"supplied": 15000.0}}
+    found = hj.fit(write(path.parent, SURVEY | near, "near.toml"), x, height, ["time.end"])
+    assert found.parameters[0].value == pytest.approx(2.0, rel=1e-4)
+    assert found.volume.value == pytest.approx(2.0 * 150.0**2 * 0.45, rel=1e-4)
+
+
 def test_a_kink_gives_time_and_law_back(tmp_path):
     """Dimensionless, against the closed form, which fronts meet to 1e-12: the last relative step, 1e-6, is left."""
     content = {

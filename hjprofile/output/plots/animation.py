@@ -81,7 +81,7 @@ def frames(run: Run) -> Iterator[Array]:
 def _animated_figure(run: Run) -> tuple[Figure, list[Any], Callable[[int], None]]:
     """Return the figure, its moving artists in drawing order, and the function that shows a saved time."""
     x, u, x_label, u_label = style.axes_units(run, run.units)
-    unit = [f"areas and supplied volume per width in {style.SURVEY}²"] if run.units else []
+    unit = [f"areas and supplied volume per width in {run.units.label}²"] if run.units else []
     figure = style.sheet(run.title, style.about(run) + unit, 2, 3.9, right=0.16)
     figure.set_dpi(DPI)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,12 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from hjprofile.output.plots import style
 from hjprofile.output.plots.style import INK, TIMES, TWO_RUNS, styled
-from hjprofile.solvers.run import Run
-from hjprofile.studies.accuracy import kink_distances, shared
+from hjprofile.solvers.run import Array, Run
+from hjprofile.studies.accuracy import Shared, shared
 
 SHOWN = 4  # shared times at which profiles are drawn
 ROUNDING = 1e-12  # largest distance that counts as 0
@@ -39,21 +41,22 @@ def draw_comparison(first: Run, second: Run, names: tuple[str, str]) -> Figure:
     """Draw both profiles at up to four shared times, their differences in u and q, and the largest differences over
     time.
 
-    Use the survey's units if both runs have the same, else exchange lengths. Raise InputError if the runs cannot be
+    Use the survey's units if both runs have units, else exchange lengths. Raise InputError if the runs cannot be
     compared.
     """
     both = shared(first, second)
     units = both.units
-    coarse = first if first.cells <= second.cells else second
-    x, _, label_of_x, label_of_height = style.axes_units(coarse, units)
-    heights = units.height(both.height) if units else both.height
-    length, x_cell = (units.length, units.x(both.x_cell)) if units else (1.0, both.x_cell)
+    length, rise = (units.length, units.rise) if units else (1.0, 1.0)
+    x, x_cell, heights, kinks = _in_units(both)
+    label_of_x, label_of_height = style.labels_of(units) if units else style.axes_units(first, None)[2:]
+    of_slope = "difference of slope" if both.metric else "difference of q"
     of_height = style.of_height("difference of height", units) if units else "difference of u"
-    saved = first.time[both.first]
+    saved = both.time / units.volume if units and both.metric else both.time
     unit, label_of_time, numbers = style.axis_of_time(saved, units)
     times = unit * saved
     names = tuple(n if len(n) <= LONGEST else f"{n[: LONGEST - 1]}…" for n in names)  # type: ignore[assignment]
     lines = [f"{name}: {run.method}, {run.cells} cells" for name, run in zip(names, (first, second), strict=True)]
+    lines += ["on their common ground, at equal supplied volumes"] if both.metric else []
     figure = style.sheet(" and ".join(dict.fromkeys((first.title, second.title))), lines, 1, 7.0)
     frame = figure.subplotpars
     parts = figure.add_gridspec(
@@ -70,27 +73,25 @@ def draw_comparison(first: Run, second: Run, names: tuple[str, str]) -> Figure:
         colour = TIMES(norm(times[i]))
         middle.plot(x, heights[0, i] - heights[1, i], color=colour, lw=0.9)
         bottom.plot(x_cell, both.slope[0, i] - both.slope[1, i], color=colour, lw=0.9)
-    apart = np.abs(both.height[0] - both.height[1]).max(axis=1) > ROUNDING
     largest = np.abs(heights[0] - heights[1]).max(axis=1)
-    distances = [
-        (unit * float(first.time[i]), length * d)
-        for i, j in zip(both.first.tolist(), both.second.tolist(), strict=True)
-        for d in kink_distances(first.kinks_at(i), second.kinks_at(j))
-        if d > ROUNDING
-    ]
+    apart = largest > ROUNDING * rise
+    moments = zip(times.tolist(), kinks, strict=True)
+    distances = [(t, d) for t, found in moments for d in found if d > ROUNDING * length]
     over_time[0].plot(times, np.where(apart, largest, np.nan), **_LARGEST)
     over_time[1].plot(*np.array(distances).reshape(-1, 2).T, **_KINKS)
     runs = [Line2D([], [], **look, label=name) for name, look in zip(names, _LOOKS, strict=True)]
     style.legend_above(figure, runs)
-    for axes, label in zip((top, middle, bottom), (label_of_height, of_height, "difference of q"), strict=True):
+    for axes, label in zip((top, middle, bottom), (label_of_height, of_height, of_slope), strict=True):
         axes.set_ylabel(label)
         if axes is not top:
             axes.axhline(0.0, color="0.6", lw=0.6, zorder=0)
     style.axis_of_x(bottom, x, label_of_x)
     over_time[0].set_ylabel(style.of_height("sup|Δ height|", units) if units else "sup|u₁ - u₂|")
-    over_time[1].set_ylabel(f"kinks apart\n({style.SURVEY if units else 'exch. lengths'})")
+    over_time[1].set_ylabel(f"kinks apart\n({units.label if units else 'exch. lengths'})")
     over_time[1].set_xlabel(label_of_time)
     over_time[1].xaxis.set_major_formatter(numbers)
+    if units:  # volumes have many digits
+        over_time[1].xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
     over_time[1].set_xlim(*style.span(times))
     _scale(over_time[0], [*largest[apart]] or [1.0])
     _scale(over_time[1], [d for _, d in distances] or [1.0])
@@ -99,6 +100,15 @@ def draw_comparison(first: Run, second: Run, names: tuple[str, str]) -> Figure:
     bar = style.bar_of(figure, ScalarMappable(norm, TIMES), label_of_time, bottom=bottom.get_position().y0)
     bar.yaxis.set_major_formatter(numbers)
     return figure
+
+
+def _in_units(both: Shared) -> tuple[Array, Array, Array, Sequence[Array]]:
+    """Return nodes, midpoints, heights and distances of kinks, in the survey's unit if both runs have units."""
+    units = both.units
+    if units is None or both.metric:
+        return both.x, both.x_cell, both.height, both.kinks
+    distances = [units.length * distance for distance in both.kinks]
+    return units.x(both.x), units.x(both.x_cell), units.height(both.height), distances
 
 
 def _scale(axes: Axes, found: list[float]) -> None:

@@ -46,7 +46,7 @@ def pictures(
 def draw_profiles(run: Run) -> Figure:
     """Draw the profiles with erosion, deposition and kinks; the change of height; q."""
     x, u, x_label, u_label = axes_units(run, run.units)
-    keys = _keys_of_change(u[-1], u[0], x, f" {style.SURVEY}²" if run.units else "") + [_KINK] * bool(run.kinks)
+    keys = _keys_of_change(u[-1], u[0], x, f" {run.units.label}²" if run.units else "") + [_KINK] * bool(run.kinks)
     changed = run.surveyed is not None and not np.array_equal(run.surveyed.height, run.surveyed.used)
     keys += [_MEASURED] * changed
     rows = -(-len(keys) // (2 if run.units else 3))

@@ -12,6 +12,7 @@ from matplotlib.ticker import LogFormatter, NullFormatter
 
 from hjprofile.output.plots import style
 from hjprofile.output.plots.style import DEPOSITED, ERODED, new_figure, png
+from hjprofile.problem.units import UNNAMED
 from hjprofile.solvers.methods import METHODS
 from hjprofile.studies.calibration import Calibration
 from hjprofile.studies.chart import Point, Reference, pareto
@@ -279,8 +280,8 @@ def draw_fit(found: Calibration) -> Figure:
     for axes in (middle, bottom):
         axes.axhline(0.0, color="0.6", lw=0.6, zorder=0)
     style.legend_above(figure, keys)
-    survey = found.case["profile"]["kind"] == "survey"
-    unit = f" ({style.SURVEY})" if survey else ""
+    profile = found.case["profile"]
+    unit = f" ({profile.get('unit') or UNNAMED})" if profile["kind"] == "survey" else ""
     top.set_ylabel(f"height{unit or ' u'}")
     for axes, words in ((middle, "change of height"), (bottom, "measured - fitted")):
         axes.set_ylabel(words + unit.replace(" (", "\n("))

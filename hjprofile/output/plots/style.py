@@ -25,7 +25,7 @@ from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullFormatter
 
-from hjprofile.problem.units import Units
+from hjprofile.problem.units import UNNAMED, Units
 from hjprofile.solvers.run import Array, Run
 
 WIDTH, FONT, DPI = 5.0, 9.0, 216  # inches, points, dots per inch: 323 of these in a column of 85 mm
@@ -40,7 +40,6 @@ ERODED, DEPOSITED = "#D55E00", "#0072B2"
 TWO_RUNS = "#0072B2", "#E69F00"
 INK, PALE = "#1a1a1a", "0.45"
 CORNERS = (0.0, 1.0), (1.0, 0.0), (1.0, 1.0), (0.0, 0.0)  # of a panel, in the order of preference
-SURVEY = "survey units"  # the unit of a survey, which a case does not name
 DOT: dict[str, Any] = {"marker": "o", "ms": 2.6, "mfc": "white", "mec": INK, "mew": 0.6}  # a kink
 EXCESS = "RdBu_r"  # of q: red for erosion, blue for deposition
 TIMES: Colormap = LinearSegmentedColormap.from_list("times", colormaps["viridis"](np.linspace(0.0, 0.88, 256)))
@@ -173,7 +172,7 @@ def letter_panels(panels: Sequence[Axes]) -> None:
 
 def of_height(words: str, units: Units | None) -> str:
     """Return the label of an axis of heights or their differences, in two lines if it has a unit."""
-    return f"{words}\n({SURVEY})" if units else words
+    return f"{words}\n({units.label})" if units else words
 
 
 def about(run: Run) -> list[str]:
@@ -184,9 +183,14 @@ def about(run: Run) -> list[str]:
 def axes_units(run: Run, units: Units | None) -> tuple[Array, Array, str, str]:
     """Return x and u in the survey's units if there is one, and the labels of the axes."""
     if units:
-        return units.x(run.x), units.height(run.u), f"x ({SURVEY})", f"height ({SURVEY})"
+        return units.x(run.x), units.height(run.u), *labels_of(units)
     crest = "" if run.x[-1] else "; crest at 0"
     return run.x, run.u, f"x (exchange lengths{crest})", "height u"
+
+
+def labels_of(units: Units) -> tuple[str, str]:
+    """Return the labels of the axes of position and height of a survey."""
+    return f"x ({units.label})", f"height ({units.label})"
 
 
 def axis_of_x(axes: Axes, x: Array, label: str) -> None:
@@ -219,7 +223,9 @@ def axis_of_time(time: Array, units: Units | None) -> tuple[float, str, Callable
     """
     unit = units.volume if units else 1.0
     many = unit * float(time[-1]) >= 1e5  # so many digits do not fit
-    label = f"supplied, per width ({SURVEY}²)" if units else "supplied mass t"
+    label = "supplied mass t"
+    if units:
+        label = f"supplied volume per width ({units.unit}²)" if units.unit else f"supplied, per width ({UNNAMED}²)"
     return unit, label, lambda v, _: f"{v:.3g}".replace("e+0", "e") if many else f"{v:,g}"
 
 
