@@ -12,7 +12,21 @@ HIGHEST = 1e12  # in any unit of length; larger numbers, such as 1e20 and ±3.4e
 OUT_OF_LINE = 10.0  # slope to the nearest other row, relative to the steepest slope of the other rows
 FAR_OFF = 1000.0  # gap to the other heights, relative to their relief, for a height that is not in STAND_INS
 FEW, ENOUGH_ROWS = 0.1, 10  # largest fraction of the rows with such heights; smallest number of rows
+# Fewer heights may be multiples of a power of 10 by chance, or drawn by hand; more decimals are no rounding
+ENOUGH_TO_ROUND, DECIMALS = 20, range(-3, 7)
+EPS = float(np.finfo(float).eps)
 FLANK = 0.2  # smallest descent on either side of a crest, relative to the relief
+
+
+def rounding_of(height: Array) -> float:
+    """Return the unit to which heights are rounded, a power of 10; 0 if it is not known."""
+    if height.size < ENOUGH_TO_ROUND:
+        return 0.0
+    for decimals in DECIMALS:
+        scaled = height * 10.0**decimals
+        if np.all(np.abs(scaled - np.round(scaled)) <= np.maximum(1e-6, 8.0 * EPS * np.abs(scaled))):
+            return float(10.0**-decimals)
+    return 0.0
 
 
 def without_height(x: Array, height: Array) -> Array:

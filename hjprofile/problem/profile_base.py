@@ -33,6 +33,7 @@ class Profile:
         units: the units of a survey, else None.
         account: sentences on changes of the data in one line, or "".
         surveyed: the points of a survey, else None.
+        rounding: jumps of q that the rounding of measured heights may cause; kinks with smaller ones are not reported.
     """
 
     choice: ClassVar[Choice]
@@ -40,6 +41,7 @@ class Profile:
     units: Units | None = None
     account: str = ""
     surveyed: SurveyLine | None = None
+    rounding: float = 0.0
 
     @property
     def table(self) -> Mapping[str, Any]:

@@ -148,6 +148,7 @@ class Points(Profile):
     height: float = 0.0  # u - x on the left
     account: str = ""
     surveyed: SurveyLine | None = None
+    rounding: float = 0.0
 
     def __post_init__(self) -> None:
         x, q = numbers("x", self.x, 2), numbers("q", self.q, 2)

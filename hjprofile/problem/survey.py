@@ -10,6 +10,7 @@ import numpy as np
 
 from hjprofile.errors import InputError
 from hjprofile.problem.flank import Flank, one_flank, resampled, rising
+from hjprofile.problem.heights import rounding_of
 from hjprofile.problem.kinds import COLUMNS, LIST, NUMBER, NUMBERS, POSITIVE, TEXT
 from hjprofile.problem.paths import located
 from hjprofile.problem.profile_base import Profile, kind
@@ -25,6 +26,9 @@ REPAIR_SLOPE = 0.05  # smallest slope of a repaired survey, as a fraction of the
 FAR, TOO_FAR = 3.0, 100.0
 FEET = 1 / 0.3048
 STEEPEST = 5.0  # critical slope above which it is probably an angle in degrees: 79 degrees
+REPORTED_JUMP = 0.05  # jump of q of the weakest kinks on a grid; rounding that hides only weaker ones is not reported
+MARGIN = 1.6  # jumps are multiples of unit/Δs: this one lies between the third and the fourth
+MOST_POINTS = 0.9  # part of the points with a smaller jump by rounding; a few points may lie very near each other
 ABOUT = "a-survey"
 UNITS_DIFFER = "feet-degrees-and-mixed-units"
 
@@ -115,10 +119,25 @@ def survey(
     top = used.x[-1], used.height[-1]
     units = Units(length, critical_slope, float(top[0]), float(top[1]), points.unit, flank.direction)
     line = SurveyLine(flank.x, flank.height, np.interp(flank.s, used.s, used.height))
-    account = "; ".join([*used.account, *_unlikely(flank, critical_slope)])
+    unit = rounding_of(flank.height)
+    jump = _jump_of_rounding(used.s, unit) / critical_slope
+    rounded = f"heights are rounded to {unit:g}, so kinks with a jump of q below {jump:.2g} are not reported"
+    notes = [*used.account, *[rounded] * (jump >= REPORTED_JUMP), *_unlikely(flank, critical_slope)]
     return Points(
-        np.repeat(xi, 2)[1:-1], np.repeat(q, 2), units=units, height=float(u[0] - xi[0]), account=account, surveyed=line
-    )
+        np.repeat(xi, 2)[1:-1], np.repeat(q, 2), units=units, height=float(u[0] - xi[0]), account="; ".join(notes),
+        surveyed=line, rounding=jump,
+    )  # fmt: skip
+
+
+def _jump_of_rounding(s: Array, unit: float) -> float:
+    """Return the jump of slope at most points above which heights rounded to a unit are not its cause.
+
+    Three heights that are wrong by half a unit change the slopes on both sides by unit/Δs each. MARGIN allows for the
+    change of slope from point to point of a smooth slope, which adds to it.
+    """
+    gap = np.diff(s)
+    jumps = MARGIN * unit * (1.0 / gap[:-1] + 1.0 / gap[1:])
+    return float(np.quantile(jumps, MOST_POINTS)) if jumps.size else 0.0
 
 
 def read_survey(

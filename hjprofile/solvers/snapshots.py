@@ -15,6 +15,7 @@ from hjprofile.solvers.kernels.journal import CREST_LOWERING, TOE_GAIN
 from hjprofile.solvers.run import Array, Event, KinkRecord, Run, VerticalStep, in_order
 from hjprofile.solvers.snapshot_bounds import SnapshotBounds
 from hjprofile.solvers.stop import Stop, Stopped
+from hjprofile.solvers.weak_kinks import without_weak_kinks
 
 
 class Lost(Stopped):
@@ -144,6 +145,9 @@ def assembled(
 ) -> Run:
     """Return the run of a walk."""
     W, K = snapshots.rows(grid)
+    kinks, events = without_weak_kinks(
+        snapshots.kinks, in_order(solution.events, solution.moment), problem.profile.rounding
+    )
     return Run(
         title=problem.title,
         method=method,
@@ -157,8 +161,8 @@ def assembled(
         stop=snapshots.stop,
         steps=solution.steps,
         wall_seconds=snapshots.seconds,
-        kinks=snapshots.kinks,
-        events=in_order(solution.events, solution.moment),
+        kinks=kinks,
+        events=events,
         vertical_steps=snapshots.vertical_steps,
         bounds=watch.bounds,
         eroded_volume=watch.eroded_volume,

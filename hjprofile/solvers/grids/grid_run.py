@@ -28,7 +28,8 @@ def solve_on_grid(
     scheme = setup.scheme(problem, grid, refresh)
     bounds = BoundsMonitor(problem, grid, scheme.W, setup.guarantees, method.flux, strict, scheme.factor.refresh)
     extension = setup.extension(problem, grid, scheme) if setup.extension else None
-    tracker = KinkTracker(problem.law, grid, extension.hidden) if extension else KinkTracker(problem.law, grid)
+    hidden = {"hidden": extension.hidden} if extension else {}
+    tracker = KinkTracker(problem.law, grid, least=problem.profile.rounding, **hidden)
     watching: dict[str, Monitor] = {"bounds": bounds, "kinks": tracker, **(extension.monitors if extension else {})}
     case = resolved_case(problem, grid, method.name, cfl, refresh=scheme.factor.refresh)
     record = march(scheme, problem, grid, cfl, watching, progress, tracker.kinks_changed, keeper, identity)

@@ -79,15 +79,16 @@ class KinkTracker:
     """A monitor that finds the kinks of every observed state and links the sightings into paths.
 
     `hidden` returns the intervals (left, right) of a state that contain no kinks: the numerical layers of vertical
-    steps.
+    steps. Jumps of q below `least` are not seen.
     """
 
     checkpoint_fields: tuple[str, ...] = ("table",)
 
     def __init__(
-        self, law: ErosionLaw, grid: Grid, hidden: Callable[[State], Sequence[tuple[float, float]]] = lambda state: ()
-    ):
-        self.law, self.grid, self.hidden = law, grid, hidden
+        self, law: ErosionLaw, grid: Grid, hidden: Callable[[State], Sequence[tuple[float, float]]] = lambda state: (),
+        least: float = 0.0,
+    ):  # fmt: skip
+        self.law, self.grid, self.hidden, self.least = law, grid, hidden, least
         self.frames: list[tuple[float, list[Sighting]]] = []
         self.latest: tuple[float, list[Sighting]] = (-np.inf, [])
 
@@ -110,7 +111,7 @@ class KinkTracker:
                 nodes = self.grid.nodes[state.first : state.first + state.K.size]
                 rows[:, 3] = np.interp(rows[:, 0], nodes, state.K)
             hidden = self.hidden(state)
-            seen = [Sighting(*row) for row in rows.tolist()]
+            seen = [sighting for row in rows.tolist() if (sighting := Sighting(*row)).jump >= self.least]
             self.latest = state.t, [s for s in seen if not any(a <= s.x <= b for a, b in hidden)]
         return self.latest[1]
 
