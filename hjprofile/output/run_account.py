@@ -1,0 +1,101 @@
+"""The account of a run for a reader: method, totals, kinks, budgets, bounds, warnings and errors, in a few lines."""
+
+from __future__ import annotations
+
+import math
+
+from hjprofile.problem.units import Units
+from hjprofile.solvers.run import Run
+
+PLURALS = {"birth": "births", "merge": "merges", "exit": "exits"}
+
+
+def run_account(run: Run) -> str:
+    """Return the account of a run, one fact in each line."""
+    lines = [
+        ("solved", _solved(run)),
+        ("volume", _volume(run)),
+        ("toe", _toe(run)),
+        ("vertical", _vertical_steps(run)),
+        ("kinks", _kinks(run)),
+        ("budgets", _budgets(run)),
+        ("bounds", "all hold" if not run.broken_bounds else "VIOLATED:"),
+        *(("WARNING", sentence) for sentence in (*run.cautions, *run.broken_bounds)),
+        ("error", _error(run)),
+    ]
+    choice = run.account.splitlines()[len(run.input_changes) :]
+    given = [*(("data", line) for line in run.input_changes), *(("chosen", line) for line in choice)]
+    return "\n".join([run.title, *(f"  {label:11} {text}" for label, text in (*given, *lines) if text)])
+
+
+def with_error(value: float, error: float | None) -> str:
+    """Return a number with its error, to the digits that the error leaves.
+
+    >>> with_error(0.37882, 0.0097), with_error(0.1935, 0.18), with_error(2.5, None)
+    ('0.379 ± 0.0097', '0.19 ± 0.18', '2.5')
+    """
+    if not error:
+        return f"{value:.6g}"
+    digits = math.ceil(math.log10(max(abs(value) / error, 1.0))) + 1
+    return f"{value:.{min(digits, 6)}g} ± {error:.2g}"
+
+
+def _in_units(units: Units, value: float, error: float | None) -> str:
+    return with_error(value * units.volume, error and error * units.volume)
+
+
+def _solved(run: Run) -> str:
+    return (
+        f"{run.method}, {run.cells} cells, {run.steps} time steps in {run.wall_seconds:.2g} s to t = {run.time[-1]:g}"
+    )
+
+
+def _volume(run: Run) -> str:
+    eroded, error = run.eroded_volume, run.eroded_volume_error
+    text = f"net {'erosion' if eroded >= 0 else 'deposition'} {with_error(abs(eroded), error)}"
+    if run.units:
+        text += f" ({_in_units(run.units, abs(eroded), error)} in the survey's units, per unit width)"
+    return text
+
+
+def _toe(run: Run) -> str:
+    if math.isnan(run.toe_outflow):
+        return ""
+    supplied = float(run.time[-1])
+    text = f"outflow {with_error(run.toe_outflow, run.toe_outflow_error)} of {supplied:g} supplied"
+    if run.units:
+        outflow = _in_units(run.units, run.toe_outflow, run.toe_outflow_error)
+        text += f" ({outflow} of {supplied * run.units.volume:.4g} in the survey's units, per unit width)"
+    return text
+
+
+def _vertical_steps(run: Run) -> str:
+    if run.vertical_steps is None:
+        return ""
+    broke, now = (sum(e.event == "blow-up" for e in run.events), run.steps_at(-1))
+    tallest = f"; the tallest is {max(s.height for s in now):.4g} high" if now else ""
+    return f"{len(now)} steps at the end, {broke} blow-up{'s' * (broke != 1)}{tallest}"
+
+
+def _kinks(run: Run) -> str:
+    count = {kind: sum(e.event == kind for e in run.events) for kind in PLURALS}
+    events = ", ".join(f"{n} {PLURALS[kind] if n != 1 else kind}" for kind, n in count.items())
+    lost = len(run.kinks_at(0)) + count["birth"] - count["merge"] - count["exit"] - len(run.kinks_at(-1))
+    if lost > 0 and run.vertical_steps is None:
+        events += f", {lost} unresolved"
+    return f"{len(run.kinks_at(0))} at t = {run.time[0]:g}, {len(run.kinks_at(-1))} at the end; {events}"
+
+
+def _budgets(run: Run) -> str:
+    mass, budget = run.bounds["mass_budget"], run.bounds.get("volume_budget")
+    volume = f"volume to {run.volume_budget_error:.2g} ({budget.allowance})" if budget else "none of volume"
+    return f"mass {f'to {mass.allowance}' if mass.holds else 'VIOLATED'}; {volume}"
+
+
+def _error(run: Run) -> str:
+    if run.error_estimate is None:
+        return "not known: no independent method solves this case to its end"
+    text = f"‖u - u_exact‖_∞ about {run.error_estimate:.2g} (estimate)"
+    if run.units:
+        text += f", {run.error_estimate * run.units.length * run.units.critical_slope:.2g} in the survey's units"
+    return text
