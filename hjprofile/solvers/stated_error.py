@@ -17,7 +17,7 @@ from hjprofile.problem import Problem
 from hjprofile.problem.case import Case
 from hjprofile.problem.grid import FEWEST_CELLS
 from hjprofile.problem.model import Prescribed, RollingLayer, SlowErosion
-from hjprofile.problem.profiles import Kinks
+from hjprofile.problem.profiles import Kinks, Steady
 from hjprofile.solvers import closed_forms
 from hjprofile.solvers.method import Feature, requirements
 from hjprofile.solvers.methods import METHODS, by_characteristics, by_fronts, on_grid
@@ -29,7 +29,7 @@ LEAST_WORK = 0.3  # seconds, by count, that an estimate may cost; more only if t
 FEWEST, MOST = 200, 480  # fronts of the first reference
 PER_BREAK = 8  # of these for each corner or jump of the profile
 MOST_FRONTS = 25_600
-MORE, FEWER = 3200, 777  # fronts of the reference of a run by fronts, which has 1600, or a number chosen by auto
+MORE, FEWER = 3200, 800  # fronts of the reference of a run by 1600 fronts
 CLEAR = 0.5  # largest error of a reference, as a fraction of its distance from the run, that ends the search
 CLEAR_TOE = 0.01  # the same for the toe outflow, as a fraction of the toe outflow
 LABELS = 1e-9  # tolerance of characteristics
@@ -188,7 +188,9 @@ class _Search:
         total = run.error_estimate * float(np.ptp(run.x)) + run.volume_budget_error
         bound = Errors(run.error_estimate, total, total)
         if run.method == "fronts" and not self.exact and run.stop is None:
-            bound = bound.smallest(self._by_other_fronts())
+            # √2 times more fronts, because auto may have chosen either number
+            near = self._from_fronts(FEWER).largest(self._from_fronts(int(np.sqrt(2.0) * FEWER)).times(ROUGH))
+            bound = bound.smallest(near)
         return bound._replace(u=run.error_estimate)
 
     def _offer(self, other: Run | None, error: Errors) -> bool:
@@ -212,9 +214,9 @@ class _Search:
         return other if other.done and np.isfinite(other.u).all() else None
 
     def _closed_form(self) -> bool:
-        """Compare with the closed form, if there is one on the half line."""
-        if not isinstance(self.problem.model, SlowErosion):
-            return False
+        """Compare with the closed form of a steady slope."""
+        if not (isinstance(self.problem.model, SlowErosion) and isinstance(self.problem.profile, Steady)):
+            return False  # of kinks, too, but fronts are faster
         form = self._attempt(self._evaluated)
         return form is not None and (self._offer(form, _of_exact(form)) or True)
 
@@ -241,9 +243,12 @@ class _Search:
     def _by_other_fronts(self) -> Errors:
         """Return the estimates of a run by fronts from one with twice as many, or half if that is too much work."""
         more = self._work_of_fronts(MORE, self.run) <= self.work
-        other = self._attempt(lambda: by_fronts(self.problem, self.grid, MORE if more else FEWER))
-        apart = UNKNOWN if other is None else distance(self.run, other)
-        return apart.times(ROUGH if more else 1.0) if apart.u > 0.0 else UNKNOWN
+        return self._from_fronts(MORE).times(ROUGH) if more else self._from_fronts(FEWER)
+
+    def _from_fronts(self, fronts: int) -> Errors:
+        """Return the distance from a run of so many fronts."""
+        other = self._attempt(lambda: by_fronts(self.problem, self.grid, fronts))
+        return UNKNOWN if other is None else distance(self.run, other)
 
     def _fronts(self) -> bool:
         """Compare with more and more fronts, and with characteristics if they need less work; True if found."""
