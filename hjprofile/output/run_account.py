@@ -7,6 +7,7 @@ import math
 from hjprofile.problem.units import Units
 from hjprofile.solvers.run import Run
 
+SMALLEST_PLACE, LARGEST_NUMBER = -6, 1e8  # digits after the point, and numbers, that are written without an exponent
 PLURALS = {"birth": "births", "merge": "merges", "exit": "exits"}
 
 
@@ -29,15 +30,17 @@ def run_account(run: Run) -> str:
 
 
 def with_error(value: float, error: float | None) -> str:
-    """Return a number with its error, to the digits that the error leaves.
+    """Return a number with its error of two digits, rounded to the last of them unless one of the two is very small.
 
-    >>> with_error(0.37882, 0.0097), with_error(0.1935, 0.18), with_error(2.5, None)
-    ('0.379 ± 0.0097', '0.19 ± 0.18', '2.5')
+    >>> with_error(0.37882, 0.0097), with_error(29131.2, 132.0), with_error(2.5, 1.2e-11), with_error(2.5, None)
+    ('0.3788 ± 0.0097', '29130 ± 130', '2.5 ± 1.2e-11', '2.5')
     """
     if not error:
         return f"{value:.6g}"
-    digits = math.ceil(math.log10(max(abs(value) / error, 1.0))) + 1
-    return f"{value:.{min(digits, 6)}g} ± {error:.2g}"
+    place = math.floor(math.log10(error)) - 1
+    if place < SMALLEST_PLACE or not max(abs(value), error) < LARGEST_NUMBER:
+        return f"{value:.6g} ± {error:.2g}"
+    return f"{round(value, -place):.{max(-place, 0)}f} ± {round(error, -place):.{max(-place, 0)}f}"
 
 
 def _in_units(units: Units, value: float, error: float | None) -> str:
@@ -65,7 +68,7 @@ def _toe(run: Run) -> str:
     text = f"outflow {with_error(run.toe_outflow, run.toe_outflow_error)} of {supplied:g} supplied"
     if run.units:
         outflow = _in_units(run.units, run.toe_outflow, run.toe_outflow_error)
-        text += f" ({outflow} of {supplied * run.units.volume:.4g} in the survey's units, per unit width)"
+        text += f" ({outflow} of {supplied * run.units.volume:.6g} in the survey's units, per unit width)"
     return text
 
 

@@ -157,7 +157,7 @@ def test_a_shipped_case_by_name_and_its_survey_units(in_tmp, call):
             (run.toe_outflow, run.toe_outflow_error), (abs(run.eroded_volume), run.eroded_volume_error)
         )
     )  # fmt: skip
-    assert f"of 0.1 supplied ({outflow} of {0.1 * unit:.4g} in the survey's units, per unit width)" in out
+    assert f"of 0.1 supplied ({outflow} of {0.1 * unit:.6g} in the survey's units, per unit width)" in out
     assert f"({eroded} in the survey's units, per unit width)" in out
     assert f"(estimate), {run.error_estimate * 200 * 0.257:.2g} in the survey's units\n" in out
 
