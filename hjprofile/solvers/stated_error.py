@@ -170,7 +170,7 @@ class _Search:
 
     def errors(self) -> Errors:
         """Return the estimates of the errors of a run that has none."""
-        off_grid = self.features - {Feature.REFRESH} <= METHODS["fronts"].supports  # u_exact has the current K
+        off_grid = self.features - {Feature.REFRESH} <= METHODS["fronts"].supports
         if self._closed_form():
             return self.stated
         if off_grid and self.run.method == "fronts":
@@ -299,29 +299,29 @@ class _Search:
     def _coarser_grids(self) -> None:
         """Compare with the same method on half and on a quarter of the cells, and with one of second order."""
         run, cells = self.run, self.run.cells
-        half = self._on_grid(run.method, cells // 2, self.case.refresh)
+        half = self._on_grid(run.method, cells // 2)
         if half is None:
             return
         apart, ratio = distance(run, half), ORDERS[1] / 2.0
-        quarter = self._on_grid(run.method, cells // 4, self.case.refresh)
+        quarter = self._on_grid(run.method, cells // 4)
         if quarter is not None and apart.u > 0.0:
             ratio = float(np.clip(distance(half, quarter).u / apart.u, *ORDERS))
         self.stated = apart.times(ROUGH / (ratio - 1.0))
         method = METHODS[run.method]
         if method.flux is not None and METHODS[SMOOTH].supports >= self.features:
-            other = self._on_grid(SMOOTH, cells // 2, None)
+            other = self._on_grid(SMOOTH, cells // 2)
             if other is not None:
                 self.stated = self.stated.largest(distance(run, other))
 
-    def _on_grid(self, method: str, cells: int, refresh: float | None) -> Run | None:
-        """Return the run of a method on so many cells."""
+    def _on_grid(self, method: str, cells: int) -> Run | None:
+        """Return the run of a method on so many cells, with the current K or coefficient: u_exact has no other."""
         if cells < FEWEST_CELLS:
             return None
         coarse = replace(self.grid, cells=cells)
 
         def solve() -> Run:
             self.problem.check(coarse)
-            return on_grid(self.problem, coarse, METHODS[method], self.case.cfl, None, refresh=refresh)
+            return on_grid(self.problem, coarse, METHODS[method], self.case.cfl, None)
 
         return self._attempt(solve)
 

@@ -289,6 +289,16 @@ def test_a_refresh_interval_is_part_of_the_error():
     assert errors[0] > 0.01 and errors[1] > 1.5 * errors[0]
 
 
+@pytest.mark.parametrize("method", ["local-lax-friedrichs", "weno5"])
+def test_a_refresh_interval_of_a_coefficient_is_part_of_the_error(method):
+    coefficient = hj.coefficient("1 + t")
+    problem = hj.Problem(hj.rational(), hj.bumps([1.0], [-4.0], [0.7]), end=1.0, snapshots=5, coefficient=coefficient)
+    fine = solved(problem, hj.Grid(-8.0, 3200), "conservative")
+    run = solved(problem, hj.Grid(-8.0, 400), method, refresh=0.25)
+    error = error_of(run, fine.u[:, ::8])
+    assert error > 0.01 and LOW <= run.error_estimate / error <= HIGH
+
+
 def test_failed_references_do_not_lose_the_run(monkeypatch):
     def fail(*args, **kwargs):
         raise hj.RunError("no")
