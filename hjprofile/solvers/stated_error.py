@@ -93,7 +93,7 @@ def _remedy(case: Case, features: frozenset[Feature]) -> str:
     """Return the advice for a run with large errors."""
     if case.tolerance is not None:
         return "Use a smaller tolerance"
-    if METHODS["auto"].supports >= features - {Feature.REFRESH}:
+    if METHODS["auto"].supports >= features:
         return "Use more cells, or --tolerance 1e-3, which selects the method auto"
     return "Use more cells"
 
