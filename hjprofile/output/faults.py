@@ -37,9 +37,10 @@ def _of_texts(run: Run) -> str:
 
 
 def _of_numbers(run: Run, summary: Mapping[str, Any]) -> str:
-    numbers = (run.wall_seconds, 0.0 if run.error_estimate is None else run.error_estimate)
+    errors = (run.error_estimate, run.toe_outflow_error, run.eroded_volume_error)
+    numbers = (run.wall_seconds, *(error for error in errors if error is not None))
     if not all(isinstance(v, (int, float)) and not isinstance(v, bool) and 0.0 <= v < LARGEST for v in numbers):
-        return "wall_seconds and error_estimate in summary.json must be numbers, not negative"
+        return "wall_seconds and the errors in summary.json must be numbers, not negative"
     if isinstance(run.steps, bool) or not isinstance(run.steps, int) or not 0 <= run.steps < LARGEST:
         return "steps in summary.json must be a whole number"
     if not all(isinstance(bound.holds, bool) for bound in run.bounds.values()):

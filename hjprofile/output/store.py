@@ -20,6 +20,7 @@ import hjprofile
 from hjprofile.errors import InputError
 from hjprofile.output.faults import fault_of
 from hjprofile.output.folder import ResultFolder, owner_of_run
+from hjprofile.output.norms import norms
 from hjprofile.output.survey_columns import names_with_survey_columns, with_survey_columns
 from hjprofile.problem.ranges import as_path, instance
 from hjprofile.problem.stored import read_profile
@@ -212,10 +213,15 @@ def summary(run: Run) -> dict[str, Any]:
         "time_step": {"least": run.step_range[0], "largest": run.step_range[1]},
         "wall_seconds": run.wall_seconds,
         "cell_updates_per_second": updates,
+        "error_estimate": run.error_estimate,
         "supplied": float(run.time[-1]),
+        "norms_start": norms(run, 0)._asdict(),
+        "norms_end": norms(run, -1)._asdict(),
         "kinks_at_end": len(run.kinks_at(-1)),
         "eroded_volume": run.eroded_volume,
+        "eroded_volume_error": run.eroded_volume_error,
         "toe_outflow": run.toe_outflow,
+        "toe_outflow_error": run.toe_outflow_error,
         "crest_lowering": run.crest_lowering,
         "volume_budget": {"difference": run.volume_budget_error, "promise": run.bounds["volume_budget"].allowance}
         if "volume_budget" in run.bounds
@@ -227,8 +233,6 @@ def summary(run: Run) -> dict[str, Any]:
         "warnings": run.warnings,
         "hjprofile_version": hjprofile.__version__,
     }
-    if run.error_estimate is not None:
-        content["error_estimate"] = run.error_estimate
     if run.units:
         content["units"] = {"unit": ""} | run.units.attributes | {"volume_of_one": run.units.volume}
     if run.account:
@@ -290,7 +294,7 @@ def load_run(folder: str | Path) -> Run:
         units = Units.from_attributes(attributes)
         content = json.loads((folder / "summary.json").read_text(encoding="utf-8"), parse_constant=_no_number)
         bounds = {name: _verdict(table) for name, table in content["bounds"].items()}
-        cautions = len(content["warnings"]) - sum(not bound.holds for bound in bounds.values())
+        broken = sum(not bound.holds for bound in bounds.values())
         run = Run(
             title=content["title"], method=text["method"], case=tomllib.loads(text["case"]), **arrays,  # type: ignore[arg-type]
             status=text["status"], steps=content["steps"], wall_seconds=content["wall_seconds"],
@@ -301,9 +305,11 @@ def load_run(folder: str | Path) -> Run:
             crest_lowering=_number(content["crest_lowering"]), units=units,
             surveyed=_survey_line(folder) if (folder / SURVEY_FILE).exists() else None,
             bounds=bounds, volume_budget_error=_number((content["volume_budget"] or {}).get("difference")),
-            error_estimate=content.get("error_estimate"), account=content.get("account", ""),
-            cautions=tuple(content["warnings"][:cautions]),  # the others state violated bounds
+            error_estimate=content["error_estimate"], account=content.get("account", ""),
+            toe_outflow_error=content["toe_outflow_error"], eroded_volume_error=content["eroded_volume_error"],
         )  # fmt: skip
+        sentences = content["warnings"]  # on changes of the input first, on violated bounds last
+        run = replace(run, cautions=tuple(sentences[len(run.input_changes) : len(sentences) - broken]))
         if fault := fault_of(run, content):
             raise ValueError(fault)
         return run

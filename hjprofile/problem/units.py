@@ -79,12 +79,20 @@ class Units:
         """The unit of lengths, for the labels of axes."""
         return self.unit or UNNAMED
 
+    @property
+    def of_length(self) -> str:
+        """The words after a length."""
+        return self.unit or IN_SURVEY
+
+    @property
+    def of_volume(self) -> str:
+        """The words after a volume per unit width."""
+        return f"{self.unit}² per unit width" if self.unit else f"{IN_SURVEY}, per unit width"
+
     def volume_text(self, value: float) -> str:
         """Return the text of a volume per unit width in the unit of the survey."""
-        if not self.unit:
-            return f"{value:.4g} {IN_SURVEY}, per unit width"
         amount = f"{value:.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.4g}"
-        return f"{amount} {self.unit}² per unit width"
+        return f"{amount} {self.of_volume}"
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""

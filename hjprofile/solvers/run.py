@@ -203,15 +203,17 @@ class Run:
         bounds: name -> Verdict for each monitored bound and budget.
         eroded_volume: ∫(u(0,x) - u(t,x)) dx at the end.
         toe_outflow: ∫K(t, left) dt at the end, the grains that have left at the toe. It is the supply plus the eroded
-            volume. NaN if the coefficient is prescribed.
+            volume, up to the errors of both. NaN if the coefficient is prescribed.
         crest_lowering: ∫F(t, 0) dt at the end, which is u(0, 0) - u(t, 0).
         volume_budget_error: largest difference over the run between the eroded volume and ∫(K(left) - 1) dt.
-        error_estimate: of sup|u - u_exact| over all saved times, if the method provides one, else None.
+        error_estimate: of sup|u - u_exact| over all saved times, by the method or by `solve_case`, else None.
+        toe_outflow_error, eroded_volume_error: estimates of the errors of these two, by `solve_case`, else None.
         units: conversion to the units of a survey, else None.
         surveyed: the points of the survey, else None.
         account: changes of the input, and the choice of the method auto with its reason, or "".
         cautions: a sentence for each reason, other than a violated bound, to doubt the result: data that the grid or
-            the fronts do not resolve, a tolerance that is not met, an output that could not be written.
+            the fronts do not resolve, a tolerance that is not met, a large error of the toe outflow or of the eroded
+            volume, an extreme grain flux at the toe, an output that could not be written.
     """
 
     title: str
@@ -236,6 +238,8 @@ class Run:
     crest_lowering: float = np.nan
     volume_budget_error: float = np.nan
     error_estimate: float | None = None
+    toe_outflow_error: float | None = None
+    eroded_volume_error: float | None = None
     units: Units | None = None
     surveyed: SurveyLine | None = None
     account: str = ""
@@ -260,8 +264,14 @@ class Run:
 
     @property
     def warnings(self) -> list[str]:
-        """The cautions, then a sentence for each violated bound."""
-        return [*self.cautions, *self.broken_bounds]
+        """The changes of the input, the cautions, then a sentence for each violated bound."""
+        return [*self.input_changes, *self.cautions, *self.broken_bounds]
+
+    @property
+    def input_changes(self) -> list[str]:
+        """The sentences of the account on changes of the input."""
+        lines = self.account.splitlines()
+        return lines[:-1] if self.case["solver"]["method"] == "auto" else lines  # the last one is on the choice
 
     @property
     def broken_bounds(self) -> list[str]:

@@ -170,7 +170,7 @@ def _fronts_or_characteristics(search: _Search) -> bool:
         return _characteristics(search, np.inf, "because fronts do not meet the tolerance")
     ladder = _Ladder(search)
     needed = ladder.pilot()
-    least, spent = min(_usual_work(problem), WORTH_A_TRY), 0.0  # of characteristics
+    least, spent = min(usual_work(problem), WORTH_A_TRY), 0.0  # of characteristics
     while True:
         # characteristics may spend as much as all fronts would cost, in tries each twice as long as the last
         ahead = ladder.work(needed) if needed > ladder.first else 0.0
@@ -190,7 +190,7 @@ def _fronts_or_characteristics(search: _Search) -> bool:
     return np.isfinite(spent) and _characteristics(search, np.inf, "because fronts do not meet the tolerance")
 
 
-def _usual_work(problem: Problem) -> float:
+def usual_work(problem: Problem) -> float:
     """Return the seconds, by count, that characteristics usually take."""
     profile = problem.profile
     bumps = profile.amplitudes.size if isinstance(profile, Bumps) else 0

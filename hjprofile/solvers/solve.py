@@ -18,6 +18,7 @@ from hjprofile.solvers.grids.march import NOBODY
 from hjprofile.solvers.method import Form, Method, require, requirements
 from hjprofile.solvers.methods import METHODS, by_characteristics, by_fronts, find_method, named, on_grid
 from hjprofile.solvers.run import Keeper, Run
+from hjprofile.solvers.stated_error import with_stated_error
 
 Progress = Callable[[float], None]
 
@@ -181,7 +182,7 @@ def solve(problem: Problem, tolerance: float, grid: Grid | None = None, progress
 
 
 def solve_case(case: Case, progress: Progress | None = None, strict: bool = False, keeper: Keeper | None = None) -> Run:
-    """Solve a case by its own method.
+    """Solve a case by its own method, and estimate the errors by comparison with an independent solution (§18).
 
     - `case`: a `Case`, as `load_case` returns it.
     - `progress`: a function that is called with the completed fraction in [0, 1].
@@ -202,8 +203,9 @@ def solve_case(case: Case, progress: Progress | None = None, strict: bool = Fals
     problem.check(grid)
     if method.solve is None:
         itself = identity(case) | {"strict": strict} if keeper else NOBODY
-        return on_grid(problem, grid, method, case.cfl, progress, strict, keeper, case.refresh, itself)
-    run = method.solve(problem, grid, case.tolerance, progress)
+        run = on_grid(problem, grid, method, case.cfl, progress, strict, keeper, case.refresh, itself)
+        return with_stated_error(run, case)
+    run = with_stated_error(method.solve(problem, grid, case.tolerance, progress), case)
     if strict and run.done and run.broken_bounds:
         return replace(run, status=f"reached the end, but {run.broken_bounds[0]}")
     return run

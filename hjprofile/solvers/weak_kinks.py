@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from hjprofile.solvers.run import Event, KinkRecord, in_order
 
 
@@ -25,26 +27,7 @@ def without_weak_kinks(
         if record.jump >= least:
             strong.setdefault(record.kink, record)
     since = {kink: record.time for kink, record in strong.items()}
-    heir: dict[int, tuple[float, int]] = {}  # weak kink -> since when it is which reported kink
-
-    def now(kink: int) -> int:
-        return heir[kink][1] if kink in heir else kink
-
-    def is_reported(kink: int, t: float) -> bool:
-        return kink in since and since[kink] <= t
-
-    kept: list[Event] = []
-    births: dict[int, Event] = {}
-    for event in in_order(events):
-        kink, into = now(event.kink), None if event.into is None else now(event.into)
-        if event.event == "birth":
-            births[kink] = event
-        elif not is_reported(kink, event.time):
-            continue
-        elif into is not None and not is_reported(into, event.time):
-            heir[into] = event.time, kink
-        elif into != kink:
-            kept.append(event._replace(kink=kink, into=into))
+    kept, births, heir = _events_of(events, since)
     heirs = {kink for kink, (t, _) in heir.items() if since.get(kink, t) >= t}
     for kink, record in strong.items():
         if kink in heirs:
@@ -53,8 +36,38 @@ def without_weak_kinks(
             kept.append(births[kink])
         elif record.time > start:
             kept.append(Event(record.time, "birth", kink, None, record.x))
-    found = [record._replace(kink=now(record.kink)) for record in kinks if _is_reported(record, since, heir)]
+    found = [record._replace(kink=_now(record.kink, heir)) for record in kinks if _is_reported(record, since, heir)]
     return _numbered(found, in_order(kept), start)
+
+
+def _events_of(
+    events: Sequence[Event], since: dict[int, float]
+) -> tuple[list[Event], dict[int, Event], dict[int, tuple[float, int]]]:
+    """Return the merges and exits of reported kinks, kink -> its birth, and the heirs.
+
+    An heir is a weak kink into which a reported one merges: kink -> since when it is which reported kink.
+    """
+    kept: list[Event] = []
+    births: dict[int, Event] = {}
+    heir: dict[int, tuple[float, int]] = {}
+    for event in in_order(events):
+        kink, into = _now(event.kink, heir), None if event.into is None else _now(event.into, heir)
+        if event.event == "birth":
+            births[kink] = event
+            continue
+        if not since.get(kink, np.inf) <= event.time:
+            continue
+        if into is not None and not since.get(into, np.inf) <= event.time:
+            heir[into] = event.time, kink
+            continue
+        if into != kink:
+            kept.append(event._replace(kink=kink, into=into))
+    return kept, births, heir
+
+
+def _now(kink: int, heir: dict[int, tuple[float, int]]) -> int:
+    """Return the reported kink that a kink is after a merge, or the kink itself."""
+    return heir[kink][1] if kink in heir else kink
 
 
 def _is_reported(record: KinkRecord, since: dict[int, float], heir: dict[int, tuple[float, int]]) -> bool:

@@ -46,7 +46,8 @@ QUANTITIES = {  # name -> description
     "exits": "exits of kinks at the crest",
     "kink_x": "position of the strongest kink at the end",
     "kink_jump": "jump of q over the strongest kink at the end",
-    "error_estimate": "of u over all saved times, if the method provides one",
+    "error_estimate": "estimated error of u over all saved times",
+    "toe_outflow_error": "estimated error of toe_outflow",
 }
 
 
@@ -242,6 +243,7 @@ def _quantities(case: Case, run: Run) -> dict[str, float]:
         "kink_x": strongest.x if strongest else np.nan,
         "kink_jump": strongest.jump if strongest else np.nan,
         "error_estimate": np.nan if run.error_estimate is None else run.error_estimate,
+        "toe_outflow_error": np.nan if run.toe_outflow_error is None else run.toe_outflow_error,
     }
     return {name: float(numbers[name]) for name in QUANTITIES}
 

@@ -18,10 +18,10 @@ import tomli_w
 from grid_methods import TWINS, with_fault
 
 import hjprofile
-from hjprofile.cli import run_command
 from hjprofile.cli.common import Progress, app
 from hjprofile.cli.studies import _point
 from hjprofile.output.checkpoint import NAME, Checkpoint
+from hjprofile.output.run_account import run_account, with_error
 from hjprofile.output.store import load_run
 from hjprofile.problem.case import load_case
 from hjprofile.problem.case_files import shipped_cases
@@ -73,13 +73,20 @@ def test_run_then_plot_and_export_again(folder, call):
 
     lines = out.splitlines()
     assert lines[0] == "Zwei Knicke"
-    assert [line.split()[0] for line in lines[1:]] == ["solved", "volume", "kinks", "budgets", "bounds", "written"]
+    assert [line.split()[0] for line in lines[1:]] == [
+        "solved", "volume", "toe", "kinks", "budgets", "bounds", "error", "written"
+    ]  # fmt: skip
     assert f"local-lax-friedrichs, 160 cells, {run.steps} time steps" in lines[1] and lines[1].endswith("to t = 4")
-    assert f"volume      net erosion {run.eroded_volume:.6g}" in lines[2]
-    assert re.search(r" 2 at .*, 0 at .*; 0 births, 1 merge, 1 exit$", lines[3])
-    assert f"mass to rounding; volume to {run.volume_budget_error:.2g} (first order in dx)" in lines[4]
-    assert lines[5].endswith("all hold")
-    assert "results/scene: profile.nc" in lines[6] and "vtk/ (13 files)" in lines[6] and "profile.png" in lines[6]
+    number = r"[0-9.]+ ± [0-9.]+"
+    assert re.search(f"volume      net erosion {number}$", lines[2])
+    assert re.search(f"toe outflow {number} of 4 supplied$", lines[3])
+    assert with_error(run.eroded_volume, run.eroded_volume_error) in lines[2]
+    assert with_error(run.toe_outflow, run.toe_outflow_error) in lines[3]
+    assert re.search(r" 2 at .*, 0 at .*; 0 births, 1 merge, 1 exit$", lines[4])
+    assert f"mass to rounding; volume to {run.volume_budget_error:.2g} (first order in dx)" in lines[5]
+    assert lines[6].endswith("all hold")
+    assert lines[7] == f"  error       ‖u - u_exact‖_∞ about {run.error_estimate:.2g} (estimate)"
+    assert "results/scene: profile.nc" in lines[8] and "vtk/ (13 files)" in lines[8] and "profile.png" in lines[8]
 
     # from the folder alone, into it or elsewhere, to the byte
     for file in ("profile.png", "factor.png", "vtk/profile_0002.vtp", "vtk/kinks.pvd"):
@@ -125,7 +132,12 @@ def test_a_tolerance_is_met_and_the_estimate_told(folder, call):
     assert call("run", "bare.toml", "--method", "characteristics")[0] == 0
     assert np.abs(load_run("results/bare").u - fine.u).max() <= 1e-11
     assert call("run", "bare.toml")[0] == 0
-    assert "error_estimate" not in json.loads(Path("results/bare/summary.json").read_text())
+    grid, stored = load_run("results/bare"), json.loads(Path("results/bare/summary.json").read_text())
+    error = np.abs(grid.u - fine.u).max()
+    assert error <= stored["error_estimate"] <= 1.01 * error
+    error = abs(grid.toe_outflow - fine.toe_outflow)
+    assert error <= stored["toe_outflow_error"] <= 1.01 * error
+    assert stored["norms_start"].keys() == stored["norms_end"].keys() == {"l1", "tv", "inf", "sup"}
 
 
 def test_nothing_but_data_where_the_case_says_so(folder, call):
@@ -138,16 +150,27 @@ def test_a_shipped_case_by_name_and_its_survey_units(in_tmp, call):
     code, out, err = call("run", "hillslope", "--cells", "260", "--end", "0.1")
     assert (code, err) == (0, "")
     run = load_run("results/hillslope")
-    assert f"to t = 0.1 (supplied: {0.1 * 200**2 * 0.257:.4g} in the survey's units" in out
-    assert f"({abs(run.eroded_volume) * 200**2 * 0.257:.4g} in the survey's units, per unit width)" in out
+    unit = 200**2 * 0.257
+    outflow, eroded = (
+        with_error(value * unit, error * unit)
+        for value, error in (
+            (run.toe_outflow, run.toe_outflow_error), (abs(run.eroded_volume), run.eroded_volume_error)
+        )
+    )  # fmt: skip
+    assert f"of 0.1 supplied ({outflow} of {0.1 * unit:.0f} m² per unit width)" in out
+    assert f"({eroded} m² per unit width)" in out
+    assert f"(estimate), {run.error_estimate * 200 * 0.257:.2g} m\n" in out
 
 
-def test_the_account_names_the_unit_of_a_survey():
+def test_the_account_of_a_survey_whose_unit_has_no_name():
     case = load_case("hillslope", {"domain.cells": 260, "time.supplied": 3084.0})
     run = solve_case(case)
-    text = run_command._account(dataclasses.replace(run, units=dataclasses.replace(run.units, unit="m")))
-    assert "to t = 0.3 (supplied: 3084 m² per unit width)\n" in text
-    assert f"({abs(run.eroded_volume) * 200**2 * 0.257:.0f} m² per unit width)\n" in text
+    text = run_account(dataclasses.replace(run, units=dataclasses.replace(run.units, unit="")))
+    unit = 200**2 * 0.257
+    eroded = with_error(abs(run.eroded_volume) * unit, run.eroded_volume_error * unit)
+    assert " of 3084 in the survey's units, per unit width)\n" in text
+    assert f"({eroded} in the survey's units, per unit width)\n" in text
+    assert f"(estimate), {run.error_estimate * unit / 200:.2g} in the survey's units" in text
 
 
 def test_the_account_says_what_was_done_to_the_data(folder, call):
@@ -159,6 +182,9 @@ def test_the_account_says_what_was_done_to_the_data(folder, call):
     _, out, _ = call("run", "survey.toml", "--end", "0.1", "--tolerance", "0.01")
     lines = out.splitlines()
     assert lines[1].startswith("  data        survey repaired: ") and lines[1].endswith("(r.m.s.)")
+    stored = load_run("results/survey")  # once in the account, and among the warnings of the summary
+    assert out.count("survey repaired") == 1 and stored.warnings[0] == lines[1][14:] not in stored.cautions
+    assert json.loads(Path("results/survey/summary.json").read_text())["warnings"] == stored.warnings
     assert lines[2].startswith("  chosen      ") and "error of u about" in lines[2] and "solved" in lines[3]
 
 
@@ -173,7 +199,7 @@ def test_the_account_says_which_bounds_were_not_held(folder, call):
     code, out, err = call("run", "bare.toml", "--method", "godunov", "--cfl", "2", "--strict")
     assert code == 1 and "stopped at t = " in err and f"{broken[0]} does not hold" in err
     lost = {"mass_budget": run.bounds["mass_budget"]._replace(holds=False)}
-    assert "mass VIOLATED" in run_command._account(dataclasses.replace(run, bounds={**run.bounds, **lost}))
+    assert "mass VIOLATED" in run_account(dataclasses.replace(run, bounds={**run.bounds, **lost}))
 
 
 def test_stability_writes_its_table_and_picture(folder, call, monkeypatch):

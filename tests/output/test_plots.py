@@ -133,7 +133,7 @@ def test_every_axis_has_a_label(name, draw):
     for axes in plain(figure):
         beside = axes.get_shared_x_axes().get_siblings(axes)
         labels = {other.get_xlabel() for other in beside} - {""}
-        assert labels == {"x (survey units)" if name == "survey" else "x (exchange lengths; crest at 0)"}
+        assert labels == {"x (m)" if name == "survey" else "x (exchange lengths; crest at 0)"}
         assert any(tick.get_text() for tick in axes.get_yticklabels())
 
 
@@ -150,7 +150,7 @@ def test_a_survey_is_drawn_in_its_own_units(draw):
     assert (left, right) == pytest.approx((run.units.x(run.x[0]), run.units.x_top), rel=1e-15)
     if draw is draw_profiles:
         top = plain(drawn("survey", draw))[0]
-        assert top.get_ylabel() == "height (survey units)"
+        assert top.get_ylabel() == "height (m)"
         assert top.lines[0].get_ydata()[-1] == pytest.approx(run.units.height_top, rel=1e-12)  # sums over the cells
 
 
@@ -162,7 +162,7 @@ def test_what_is_poured_on_a_survey_is_a_volume_in_its_units(draw):
         (axes,) = plain(figure) if draw is draw_diagram else set(figure.axes) - set(plain(figure))
         volume = 200.0**2 * 0.257 if name == "survey" else 1.0
         assert axes.get_ylim() == pytest.approx((0.0, volume * run.time[-1]), rel=1e-15)
-        label = "supplied, per width (survey units²)" if name == "survey" else "supplied mass t"
+        label = "supplied, per width (m²)" if name == "survey" else "supplied mass t"
         assert axes.get_ylabel() == label
 
 
@@ -302,7 +302,7 @@ def test_erosion_and_deposition_are_told_apart():
         assert np.all(sign * (edges[1] - edges[0]) > -tolerance)
     areas = [0.5 * np.diff(x) @ (h[1:] + h[:-1]) for h in (np.maximum(-change, 0.0), np.maximum(change, 0.0))]
     keys = [
-        f"{word} (area {area:,.0f} survey units²)" for word, area in zip(("eroded", "deposited"), areas, strict=True)
+        f"{word} (area {area:,.0f} m²)" for word, area in zip(("eroded", "deposited"), areas, strict=True)
     ]
     assert keys_of(drawn("survey", draw_profiles)) == [*keys, "kink"]
     assert keys_of(drawn("flat", draw_profiles)) == []
@@ -349,7 +349,7 @@ def test_a_fit_is_legible_and_says_what_it_found():
     value, low, high = (float(word.strip(",").replace(",", "")) for word in np.array(lines[1].split())[[2, 3, 5]])
     assert low < found.volume.value < high and value == pytest.approx(found.volume.value, abs=0.5)
     assert len(keys_of(figure)) == 4 and all(axes.get_ylabel() for axes in figure.axes)
-    assert figure.axes[-1].get_xlabel() == "x (survey units)"
+    assert figure.axes[-1].get_xlabel() == "x (m)"
     named = dataclasses.replace(found, case=found.case | {"profile": found.case["profile"] | {"unit": "m"}})
     labels = [axes.get_ylabel() for axes in draw_fit(named).axes]
     assert labels == ["height (m)", "change of height\n(m)", "measured - fitted\n(m)"]

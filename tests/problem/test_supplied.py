@@ -150,6 +150,6 @@ def test_texts_name_the_unit():
         and units.volume_text(12.34567) == "12.35 m² per unit width"
     )
     unnamed = dataclasses.replace(units, unit="")
-    assert unnamed.volume_text(30840.0) == "3.084e+04 in the survey's units, per unit width"
+    assert unnamed.volume_text(30840.0) == "30840 in the survey's units, per unit width"
     assert (units.label, unnamed.label) == ("m", "survey units")
     assert str(units).startswith("length = 200 m, ") and str(unnamed).startswith("length = 200, ")

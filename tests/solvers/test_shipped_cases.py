@@ -27,6 +27,12 @@ def test_case_meets_its_expectation(name):
     assert run.done
     assert all(b.holds for b in run.bounds.values())
     assert abs(run.eroded_volume - expect["eroded_volume"]) <= expect["volume_tolerance"]
+    assert run.error_estimate is not None and run.eroded_volume_error is not None
+    # the expected number is rounded
+    assert (
+        abs(run.eroded_volume - expect["eroded_volume"]) <= run.eroded_volume_error + 0.05 * expect["volume_tolerance"]
+    )
+    assert run.eroded_volume_error <= 5.0 * expect["volume_tolerance"]
     assert len(run.kinks_at(0)) == expect["kinks_at_start"]
     found, wanted = [k.x for k in run.kinks_at(-1)], expect["kink_positions"]
     assert len(found) == len(wanted)
