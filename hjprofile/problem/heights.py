@@ -14,6 +14,7 @@ FAR_OFF = 1000.0  # gap to the other heights, relative to their relief, for a he
 FEW, ENOUGH_ROWS = 0.1, 10  # largest fraction of the rows with such heights; smallest number of rows
 # Fewer heights may be multiples of a power of 10 by chance, or drawn by hand; more decimals are no rounding
 ENOUGH_TO_ROUND, DECIMALS = 20, range(-3, 7)
+MEDIAN = 0.6745  # median of |z| for a standard normal z
 EPS = float(np.finfo(float).eps)
 FLANK = 0.2  # smallest descent on either side of a crest, relative to the relief
 
@@ -27,6 +28,19 @@ def rounding_of(height: Array) -> float:
         if np.all(np.abs(scaled - np.round(scaled)) <= np.maximum(1e-6, 8.0 * EPS * np.abs(scaled))):
             return float(10.0**-decimals)
     return 0.0
+
+
+def scatter_of(x: Array, height: Array) -> float:
+    """Return the standard deviation of heights from a smooth line, by the median; robust to corners and outliers.
+
+    The distance r of a height from the line through its neighbours contains the curvature, the difference of two
+    neighbouring r does not. White noise of the deviation σ at even spacing gives them the variance 5 σ².
+    """
+    if height.size < ENOUGH_TO_ROUND:
+        return 0.0
+    h = np.diff(x)
+    off = height[1:-1] - (height[:-2] * h[1:] + height[2:] * h[:-1]) / (h[1:] + h[:-1])
+    return float(np.median(np.abs(np.diff(off)))) / (MEDIAN * np.sqrt(5.0))
 
 
 def without_height(x: Array, height: Array) -> Array:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 
 from hjprofile.errors import InputError
 from hjprofile.problem.flank import Flank, one_flank, resampled, rising
-from hjprofile.problem.heights import rounding_of
+from hjprofile.problem.heights import rounding_of, scatter_of
 from hjprofile.problem.kinds import COLUMNS, LIST, NUMBER, NUMBERS, POSITIVE, TEXT
 from hjprofile.problem.paths import located
 from hjprofile.problem.profile_base import Profile, kind
@@ -29,6 +30,11 @@ STEEPEST = 5.0  # critical slope above which it is probably an angle in degrees:
 REPORTED_JUMP = 0.05  # jump of q of the weakest kinks on a grid; rounding that hides only weaker ones is not reported
 MARGIN = 1.6  # jumps are multiples of unit/Δs: this one lies between the third and the fourth
 MOST_POINTS = 0.9  # part of the points with a smaller jump by rounding; a few points may lie very near each other
+SMOOTH_NOISE = 0.1  # noise of q, see `smoothed`
+LEAST_SMOOTHING, MOST_SMOOTHING = (
+    2.0,
+    0.0625,
+)  # spacings of a smoothed survey: of its points, and as a part of its extent
 ABOUT = "a-survey"
 UNITS_DIFFER = "feet-degrees-and-mixed-units"
 
@@ -107,26 +113,64 @@ def survey(
     spacing = reading.get("resample")
     used = resampled(flank, spacing) if spacing is not None else flank
     used = rising(used, REPAIR_SLOPE * critical_slope, repair is not None, reading.get("repair_limit"))
-    xi = (used.s - used.s[-1]) / length
-    u = (used.height - used.height[-1]) / (length * critical_slope)
-    q = np.diff(u) / np.diff(xi) - 1.0
-    if not (np.all((q > -1.0) & (q <= RANGES["q"].most)) and RANGES["x"].holds(xi[0])):
-        raise InputError(
-            f"{name} divided by length = {length:g} and critical_slope = {critical_slope:g} leaves the range of "
-            "numbers",
-            ABOUT,
-        )
-    top = used.x[-1], used.height[-1]
-    units = Units(length, critical_slope, float(top[0]), float(top[1]), points.unit, flank.direction)
+    units = Units(length, critical_slope, float(used.x[-1]), float(used.height[-1]), points.unit, flank.direction)
+    profile = _scaled(used, units)
     line = SurveyLine(flank.x, flank.height, np.interp(flank.s, used.s, used.height))
     unit = rounding_of(flank.height)
     jump = _jump_of_rounding(used.s, unit) / critical_slope
     rounded = f"heights are rounded to {unit:g}, so kinks with a jump of q below {jump:.2g} are not reported"
     notes = [*used.account, *[rounded] * (jump >= REPORTED_JUMP), *_unlikely(flank, critical_slope)]
-    return Points(
-        np.repeat(xi, 2)[1:-1], np.repeat(q, 2), units=units, height=float(u[0] - xi[0]), account="; ".join(notes),
-        surveyed=line, rounding=jump,
-    )  # fmt: skip
+    return replace(profile, account="; ".join(notes), surveyed=line, rounding=jump)
+
+
+class Smoothed(NamedTuple):
+    """A survey without its noise.
+
+    Attributes:
+        profile: the profile of the survey resampled at `spacing`.
+        spacing: in the unit of the survey.
+        scatter: standard deviation of the heights from a smooth line, in the unit of the survey.
+    """
+
+    profile: Profile
+    spacing: float
+    scatter: float
+
+
+def smoothed(profile: Profile) -> Smoothed | None:
+    """Return a survey resampled so coarsely that noise changes q by about SMOOTH_NOISE / 3; None if it is smooth.
+
+    Noise σ at the spacing Δ changes the mean height of H/Δ points by σ sqrt(Δ/H), hence a slope over the distance H by
+    about σ sqrt(3 Δ/H)/H. At the spacing H where this is SMOOTH_NOISE times the critical slope, noise still lowers ln
+    K; at 2 H it does not (docs/cases.md has the measurements).
+    """
+    line, units = profile.surveyed, profile.units
+    if line is None or units is None or profile.table.get("resample") is not None:
+        return None
+    s = units.direction * line.x
+    extent, gap = float(np.ptp(s)), float(np.median(np.diff(s)))
+    scatter = scatter_of(s, line.height)
+    spacing = 2.0 * (np.sqrt(3.0 * gap) * scatter / (SMOOTH_NOISE * units.critical_slope)) ** (2.0 / 3.0)
+    if not MOST_SMOOTHING * extent >= spacing >= LEAST_SMOOTHING * gap:
+        return None
+    spacing = float(f"{spacing:.2g}")
+    flank = resampled(Flank("the survey", s, line.height, [], units.direction, []), spacing)
+    flank = rising(flank, REPAIR_SLOPE * units.critical_slope, True, None)
+    return Smoothed(_scaled(flank, units), spacing, scatter)
+
+
+def _scaled(flank: Flank, units: Units) -> Points:
+    """Return the profile of a flank. Raise InputError if its numbers are out of range."""
+    xi = (flank.s - flank.s[-1]) / units.length
+    u = (flank.height - flank.height[-1]) / units.rise
+    q = np.diff(u) / np.diff(xi) - 1.0
+    if not (np.all((q > -1.0) & (q <= RANGES["q"].most)) and RANGES["x"].holds(xi[0])):
+        raise InputError(
+            f"{flank.name} divided by length = {units.length:g} and critical_slope = {units.critical_slope:g} leaves "
+            "the range of numbers",
+            ABOUT,
+        )
+    return Points(np.repeat(xi, 2)[1:-1], np.repeat(q, 2), units=units, height=float(u[0] - xi[0]))
 
 
 def _jump_of_rounding(s: Array, unit: float) -> float:

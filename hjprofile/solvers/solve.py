@@ -17,6 +17,7 @@ from hjprofile.problem.ranges import as_number, instance, shown
 from hjprofile.solvers.grids.march import NOBODY
 from hjprofile.solvers.method import Form, Method, require, requirements
 from hjprofile.solvers.methods import METHODS, by_characteristics, by_fronts, find_method, named, on_grid
+from hjprofile.solvers.noise_bias import with_noise_bias
 from hjprofile.solvers.run import Keeper, Run
 from hjprofile.solvers.stated_error import with_stated_error
 
@@ -204,8 +205,9 @@ def solve_case(case: Case, progress: Progress | None = None, strict: bool = Fals
     if method.solve is None:
         itself = identity(case) | {"strict": strict} if keeper else NOBODY
         run = on_grid(problem, grid, method, case.cfl, progress, strict, keeper, case.refresh, itself)
-        return with_stated_error(run, case)
-    run = with_stated_error(method.solve(problem, grid, case.tolerance, progress), case)
+        return with_noise_bias(with_stated_error(run, case), case)
+    run = method.solve(problem, grid, case.tolerance, progress)
+    run = with_noise_bias(with_stated_error(run, case), case)
     if strict and run.done and run.broken_bounds:
         return replace(run, status=f"reached the end, but {run.broken_bounds[0]}")
     return run

@@ -162,7 +162,7 @@ def test_what_is_poured_on_a_survey_is_a_volume_in_its_units(draw):
         (axes,) = plain(figure) if draw is draw_diagram else set(figure.axes) - set(plain(figure))
         volume = 200.0**2 * 0.257 if name == "survey" else 1.0
         assert axes.get_ylim() == pytest.approx((0.0, volume * run.time[-1]), rel=1e-15)
-        label = "supplied, per width (m²)" if name == "survey" else "supplied mass t"
+        label = "supplied volume per width (m²)" if name == "survey" else "supplied mass t"
         assert axes.get_ylabel() == label
 
 
@@ -301,9 +301,7 @@ def test_erosion_and_deposition_are_told_apart():
         assert np.all(np.abs(edges - corners[:, 1]).min(axis=0) < tolerance)  # on one of the profiles
         assert np.all(sign * (edges[1] - edges[0]) > -tolerance)
     areas = [0.5 * np.diff(x) @ (h[1:] + h[:-1]) for h in (np.maximum(-change, 0.0), np.maximum(change, 0.0))]
-    keys = [
-        f"{word} (area {area:,.0f} m²)" for word, area in zip(("eroded", "deposited"), areas, strict=True)
-    ]
+    keys = [f"{word} (area {area:,.0f} m²)" for word, area in zip(("eroded", "deposited"), areas, strict=True)]
     assert keys_of(drawn("survey", draw_profiles)) == [*keys, "kink"]
     assert keys_of(drawn("flat", draw_profiles)) == []
 
