@@ -206,6 +206,14 @@ class Judged:
         first_order = [one for one in self.ladders.values() if one.method in CONVERGING or one.method == "telescoping"]
         return self.represented and any(one.converges(norm) for one in first_order)
 
+    def change(self, norm: str) -> float:
+        """Return the L1 norm of the change of heights, or of slopes, since the start, the mean over the saved times."""
+        run = self.ladders["conservative"].runs[-1]
+        moved = (
+            np.diff(run.u - run.u[0], axis=1) if norm == "slope_l1" else (run.u - run.u[0]) * np.ptp(run.x) / run.cells
+        )
+        return float(np.mean(np.abs(moved).sum(axis=1)))
+
 
 def _richardson(steps: Sequence[float]) -> float:
     """Return the error of the finest of several grids, each twice as fine as the last, from their differences.
@@ -240,13 +248,15 @@ def _bounded(name: str, cells: int, error: float, threshold: float, rule: str) -
 
 
 def _within(
-    name: str, cells: list[int], error: list[float], estimate: float, sound: bool, resolved: bool, decides: bool = True
-) -> Check:
+    name: str, cells: list[int], error: list[float], estimate: float, sound: bool, resolved: bool, decides: bool = True,
+    change: float = np.inf,
+) -> Check:  # fmt: skip
     """Compare the distance of two solutions on the finest grid with the sum of their estimated errors.
 
     If the profile is not `resolved`, an estimate is unreliable, and a distance that exceeds it leaves the comparison
     open. It fails if one of the solutions is not `sound`, that is, if it does not converge although a less accurate one
-    does. A distance that converges is evidence that both solutions do.
+    does. A distance that converges is evidence that both solutions do. A threshold above the `change` of the solution
+    since the start leaves the comparison open, because a slope that never changes would pass.
     """
     allowed = SAFETY * estimate + ABSOLUTE_ROUNDING
     near = bool(error[-1] <= allowed)
@@ -255,8 +265,10 @@ def _within(
         rule = "does not converge, though the profile is resolved"
         return Check(name, cells, error, order, allowed, False, rule)
     rule = f"at most {allowed:.2g}, {SAFETY:g} times the estimated errors"
-    known = near or resolved
-    return Check(name, cells, error, order, allowed, near or not resolved, rule, known, decides=decides)
+    if near and allowed > change + ABSOLUTE_ROUNDING:
+        rule = f"the threshold {allowed:.2g} exceeds the change of the profile, {change:.2g}"
+        return Check(name, cells, error, order, allowed, True, rule, False, decides=decides)
+    return Check(name, cells, error, order, allowed, near or not resolved, rule, near or resolved, decides=decides)
 
 
 def _identity(runs: Runs, finest: int, method: str, problem: Problem, coarse: bool) -> Check:
@@ -288,7 +300,7 @@ def _independence(judged: Judged) -> Iterator[Check]:
             sound = other.converges() or not one.converges()
             distances = [getattr(c, norm) for c in apart]
             yield _within(f"independence:{method}:{name}", one.cells, distances, estimate, sound,
-                          judged.resolved(norm), one.decides and name == "u")  # fmt: skip
+                          judged.resolved(norm), one.decides and name == "u", judged.change(norm))  # fmt: skip
         distances = [c.kinks for c in apart]
         steps = [c.kinks for c in (*one.steps, *other.steps)]
         if np.all(np.isfinite([*distances, *steps])):
@@ -349,7 +361,8 @@ def _against(witness: Witness, judged: Judged) -> Iterator[Check]:
             away = [compare(mine, run).height_l1 for mine in one.runs]
             estimate = one.estimate("height_l1") + witness.estimate
             sound = one.converges() or not some
-            yield _within(f"{run.method}:{method}:u", one.cells, away, estimate, sound, judged.resolved(), one.decides)
+            yield _within(f"{run.method}:{method}:u", one.cells, away, estimate, sound, judged.resolved(), one.decides,
+                          judged.change("height_l1"))  # fmt: skip
 
 
 def _sound(run: Run) -> bool:

@@ -17,7 +17,7 @@ from hjprofile.solvers.grids.kink_tracker import KinkTracker
 from hjprofile.studies import consistency
 from hjprofile.studies.consistency import _within, check_consistency
 from hjprofile.studies.records import records
-from hjprofile.studies.verdict import Check, Consistency, verdict_of_all
+from hjprofile.studies.verdict import Consistency
 
 KINK = (hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0, snapshots=6), hj.Grid(-5.0, 2000))
 
