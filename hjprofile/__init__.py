@@ -49,18 +49,19 @@ if TYPE_CHECKING:
     from hjprofile.studies.calibration import Calibration as Calibration
     from hjprofile.studies.calibration import fit as fit
     from hjprofile.studies.chart import chart as chart
-    from hjprofile.studies.consistency import Consistency as Consistency
     from hjprofile.studies.consistency import check as check
     from hjprofile.studies.consistency import check_consistency as check_consistency
     from hjprofile.studies.slow_erosion import slow_erosion as slow_erosion
+    from hjprofile.studies.verdict import Consistency as Consistency
 
 _MODULES = {
     "errors": ("InputError", "RunError"),
     "studies.accuracy": ("Comparison", "compare", "observed_order"),
     "studies.calibration": ("Calibration", "fit"),
     "studies.chart": ("chart",),
-    "studies.consistency": ("Consistency", "check", "check_consistency"),
+    "studies.consistency": ("check", "check_consistency"),
     "studies.slow_erosion": ("slow_erosion",),
+    "studies.verdict": ("Consistency",),
     "output.store": ("load_run", "write_run"),
     "output.sweep_results": ("sweep",),
     "problem": ("Problem",),

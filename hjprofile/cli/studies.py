@@ -19,10 +19,12 @@ if TYPE_CHECKING:
 def check(*case: CasePath, out: Out = None, json: Json = False) -> None:
     """Test the Hamilton-Jacobi equation against the conservation law on one or several cases.
 
-    Writes check.json. The exit code is 1 if a comparison fails.
+    Writes check.json. A case passes, fails, or is not resolved on these grids. If a comparison fails, the exit code is
+    1.
     """
     from hjprofile.output.store import to_json
     from hjprofile.studies.consistency import check as check_case
+    from hjprofile.studies.verdict import verdict_of_all
 
     if not case:
         raise InputError("check needs at least one CASE: a TOML file or the name of a shipped case", "the-command-line")
@@ -33,7 +35,7 @@ def check(*case: CasePath, out: Out = None, json: Json = False) -> None:
         with Progress(f"checking {one.name}") as progress:
             verdicts.append(check_case(one, progress))
     failed = [v.case for v in verdicts if not v.passes]
-    report = {"passes": not failed, "cases": [v.report() for v in verdicts]}
+    report = {"passes": not failed, "verdict": verdict_of_all(verdicts), "cases": [v.report() for v in verdicts]}
     files = folder.write({"check.json": to_json(report)})
     say(json, "\n".join([*map(str, verdicts), f"written to {files[0]}"]))
     answer(json, report | {"files": files})

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 
@@ -11,35 +10,12 @@ from hjprofile.problem import Problem
 from hjprofile.problem.model import LinearGrowth, Prescribed, RollingLayer
 from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.run import Array, KinkRecord, Run
+from hjprofile.studies.verdict import Check
 
 EPS = float(np.finfo(float).eps)
 UNDERFLOW = float(np.log(np.finfo(float).tiny))  # smallest ln K with full precision
+SMALLEST_SPEED = 1e-290  # of a kink that is compared: a normal number, and so are its quotients
 TABLE = 1e-9  # accuracy of a tabulated law in ln K and in speeds; measured: 2e-11
-QUIET = ("bounds:", "saved-")  # comparisons that are printed only if they fail
-
-
-class Check(NamedTuple):
-    """One comparison: errors on each grid, the observed order, and the criterion.
-
-    If it is not `resolved`, the grids are too coarse for a decision: it passes, with a warning.
-    """
-
-    name: str
-    cells: list[int]
-    error: list[float]
-    order: float | None
-    threshold: float
-    passes: bool
-    rule: str
-    resolved: bool = True
-    unit: str = "cells"  # unit of `cells`
-
-    def line(self) -> str:
-        """Return the line that is printed."""
-        order = f"order {self.order:.2f}, " if self.order is not None else ""
-        cells = f" on {self.cells[-1]} {self.unit}"
-        verdict = ("passes" if self.resolved else "unclear") if self.passes else "FAILS"
-        return f"{verdict:7} {self.name:36} {order}{self.error[-1]:.2g}{cells}  ({self.rule})"
 
 
 def records(run: Run, problem: Problem, refresh: float | None, suffix: str) -> Iterator[Check]:
@@ -136,7 +112,10 @@ def _speeds(run: Run, problem: Problem) -> tuple[Array, Array]:
         for k in run.kinks_at(i):
             f_left, f_right = float(problem.law.f(k.q_left)), float(problem.law.f(k.q_right))
             speed = float(np.interp(k.x, run.x, run.K[i])) * (f_right - f_left) / k.jump
-            off += [abs(speed / k.rankine_hugoniot_speed - 1.0), abs((k.q_right - k.q_left) / k.jump - 1.0)]
+            if abs(speed) + abs(k.rankine_hugoniot_speed) < SMALLEST_SPEED:
+                continue  # K has underflowed, and a quotient of the two has no digit
+            off += [abs(speed / (k.rankine_hugoniot_speed or SMALLEST_SPEED) - 1.0)]
+            off += [abs((k.q_right - k.q_left) / k.jump - 1.0)]
             at = int(np.clip(np.searchsorted(run.x, k.x) - 1, 0, run.cells - 1))
             steepest = np.abs(problem.law.f(run.q[i, max(at - 1, 0) : at + 2])).max()
             near = dx * (abs(f_left) + abs(f_right) + steepest)

@@ -36,7 +36,11 @@ def names(folder):
 @pytest.fixture
 def stand_ins(monkeypatch):
     """Studies that take no time: their files are at stake here."""
-    verdict = type("Verdict", (), {"case": "case", "passes": True, "report": dict, "__str__": lambda self: "passes"})
+    verdict = type(
+        "Verdict",
+        (),
+        {"case": "case", "passes": True, "verdict": "passes", "report": dict, "__str__": lambda self: "passes"},
+    )
     monkeypatch.setattr("hjprofile.studies.consistency.check", lambda case, progress: verdict())
     monkeypatch.setattr("hjprofile.output.workers.processes", lambda count: __import__("contextlib").nullcontext())
 
