@@ -31,8 +31,12 @@ left = {left!r}  # in exchange lengths; the toe lies at {toe:.4g}
 cells = 2000
 
 [time]
-end = 1.0  # supplied grains, in units of critical_slope * length^2, which is {volume:.4g} per unit width
+supplied = {volume!r}  # volume of grains per unit width, in the unit of x squared; this is t = 1
 snapshots = 21
+
+[solver]
+method = "auto"  # the method with the least work for this error
+tolerance = 1e-3  # largest error of heights, in units of critical_slope * length, which is {rise:.3g}
 """
 
 
@@ -90,7 +94,7 @@ def import_survey(
         critical_slope=slope, length=scale, left=-float(f"{(1.0 + BEYOND_TOE) * extent / scale:.4g}"),
         slope_from="given" if given[0] else "assumed: the mean slope of the survey",
         length_from="given" if given[1] else "assumed: a tenth of the extent of the survey",
-        options=options, toe=-extent / scale, volume=slope * scale**2,
+        options=options, toe=-extent / scale, volume=float(f"{slope * scale**2:.6g}"), rise=slope * scale,
     )  # fmt: skip
     order = slice(None, None, int(flank.direction))
     rows = zip(flank.x[order].tolist(), flank.height[order].tolist(), strict=True)

@@ -1,5 +1,7 @@
 """The pictures of runs in the docs, as commands draw them: `python tests/benchmarks/pictures.py`, in some seconds."""
 
+import re
+import tempfile
 from pathlib import Path
 
 import hjprofile as hj
@@ -7,8 +9,24 @@ from hjprofile.output.plots import style
 from hjprofile.output.plots.animation import animation
 from hjprofile.output.plots.comparison import draw_comparison
 from hjprofile.output.plots.runs import draw_diagram, draw_factor, draw_profiles
+from hjprofile.problem.survey_import import import_survey
 
-FIGURES = Path(__file__).resolve().parents[2] / "docs" / "figures"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+FIGURES = DOCS / "figures"
+
+
+def raw_export():
+    """Solve the case that `import` makes of the export in the tutorial."""
+    page = (DOCS / "tutorial.md").read_text(encoding="utf-8")
+    (text,) = re.findall(r"<!-- file: export.txt -->\n```text\n(.*?)```", page, flags=re.S)
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder) / "export.txt"
+        source.write_text(text, encoding="utf-8")
+        made = import_survey(source, "export.csv", "export", critical_slope=0.36, length=12.0)
+        (Path(folder) / "export.csv").write_text(made.csv, encoding="utf-8")
+        (Path(folder) / "export.toml").write_text(made.case, encoding="utf-8")
+        case = hj.load_case(Path(folder) / "export.toml", {"solver.method": "auto", "solver.tolerance": 1e-3})
+        return hj.solve_case(case)
 
 
 def main():
@@ -18,6 +36,7 @@ def main():
         "hillslope": draw_profiles(hillslope),
         "hillslope_diagram": draw_diagram(hillslope),
         "factor": draw_factor(hillslope),
+        "raw_export": draw_profiles(raw_export()),
         "two_kinks": draw_diagram(two_kinks),
         "comparison": draw_comparison(two_kinks, coarse, ("two_kinks", "lax-friedrichs")),
     }
