@@ -145,8 +145,10 @@ def check_consistency(
     witness = None
     if own_factor and not problem.profile.inflow:
         witness = _third_witness(problem, replace(grid, cells=finest))
-        if chosen and not chosen.on_grid and witness and witness.confirmed:
-            deciding = set()  # two methods without a grid agree, and the case uses neither grid
+        if chosen and not chosen.on_grid:
+            checks += _own_witness(witness, chosen.name, finest)
+            if witness and witness.confirmed:
+                deciding = set()  # two methods without a grid agree, and the case uses neither grid
     ladders = {m: Ladder(m, [runs[m, n] for n in usable], m in deciding) for m in ordered}
     judged = Judged(problem, ladders, len(coarse) <= len(grids) - FEWEST_GRIDS)
     checks += _independence(judged)
@@ -348,6 +350,13 @@ def _third_witness(problem: Problem, fine: Grid) -> Witness | None:
     resolved = max(c.height_l1 for c in fronts.steps) < 1.0
     check = _within("characteristics:fronts:u", [*FRONTS], away, allowed, True, resolved)
     return Witness(exact, estimate, check._replace(unit="fronts"))
+
+
+def _own_witness(witness: Witness | None, method: str, cells: int) -> Iterator[Check]:
+    """Leave the case open if its own method is one without a grid that does not resolve the profile."""
+    if method in ("fronts", "characteristics") and not (witness and (witness.fronts or witness.run.method == method)):
+        rule = f"the method {method} does not reach its end, or its data do not represent the profile"
+        yield Check(f"bounds:{method}", [cells], [1.0], None, 0.0, True, rule, resolved=False)
 
 
 def _against(witness: Witness, judged: Judged) -> Iterator[Check]:

@@ -12,7 +12,7 @@ from grid_methods import TWINS, with_fault
 import hjprofile as hj
 from hjprofile.solvers.characteristics import moving_labels
 from hjprofile.solvers.grids import march
-from hjprofile.solvers.grids.kernels import hancock, wavefront
+from hjprofile.solvers.grids.kernels import grid_loops, hancock, wavefront
 from hjprofile.solvers.grids.kink_tracker import KinkTracker
 from hjprofile.studies import consistency
 from hjprofile.studies.consistency import _within, check_consistency
@@ -292,6 +292,66 @@ def test_a_fault_shows_on_a_survey_too(fault, survey, monkeypatch):
     monkeypatch.setattr(march, "STEPS_BEFORE_FLOOR", 0)
     with np.errstate(all="ignore"):
         assert failures(case.problem, case.grid)
+
+
+@pytest.fixture(scope="module")
+def rough_survey():
+    """A slope with noise, repaired: flats between rises, which grids of 250 and 500 cells do not represent."""
+    rng = np.random.default_rng(3)
+    x = 1.5 * np.arange(41)
+    height = 0.36 * x + 1.5 * np.sin(0.09 * x) + 0.5 * rng.standard_normal(41)
+    slope = hj.survey(x=x, height=height, critical_slope=0.36, length=4.0, repair="isotonic")
+    return hj.Problem(hj.rational(), slope, end=0.5, snapshots=3), slope.grid(1000)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    ["HJ: K without dx", "CL second order: K without dx", "CL second order: K with the wrong sign",
+     "CL second order: K shifted by a cell"],
+)  # fmt: skip
+def test_a_fault_in_a_sweep_shows_where_the_grids_resolve_nothing(fault, rough_survey, monkeypatch):
+    """Identity and order need no resolved profile, so a fault fails and is not only left open."""
+    assert not consistency.cells_resolve(*rough_survey).holds
+    monkeypatch.setattr(consistency, "CONVERGING", ("godunov",))
+    kernel, *changes = FAULTY_KERNELS[fault]
+    where = hancock if hasattr(hancock, kernel) else wavefront
+    monkeypatch.setattr(where, kernel, mutated(getattr(where, kernel), *changes))
+    monkeypatch.setattr(march, "STEPS_BEFORE_FLOOR", 0)
+    with np.errstate(all="ignore"):
+        assert failures(*rough_survey)
+
+
+@pytest.mark.parametrize("fault", ["CL first order: wrong sign", "CL first order: K shifted"])
+def test_a_fault_in_a_flux_shows_where_the_grids_resolve_nothing(fault, rough_survey, monkeypatch):
+    monkeypatch.setattr(consistency, "CONVERGING", ("godunov",))
+    method, changes = FAULTY_FLUXES[fault]
+    with_fault(monkeypatch, method, **changes)
+    with np.errstate(all="ignore"):
+        assert "identity:godunov" in failures(*rough_survey)
+
+
+FAULTY_EXPONENTS = {
+    "wrong sign": lambda E, dx: -E,
+    "shifted": lambda E, dx: np.append(E[1:], 0.0),
+    "without dx": lambda E, dx: E / dx,
+}
+
+
+@pytest.mark.parametrize("fault", FAULTY_EXPONENTS)
+def test_a_fault_in_the_own_method_shows_where_the_grids_resolve_nothing(fault, rough_survey, monkeypatch):
+    """ln K of weno5, which no other comparison uses."""
+    monkeypatch.setattr(consistency, "CONVERGING", ("godunov",))
+    sound = grid_loops.exponent_from_nodes
+
+    def faulty(f, dx, high_order, E):
+        sound(f, dx, high_order, E)
+        E[:] = FAULTY_EXPONENTS[fault](E, dx)
+
+    monkeypatch.setattr(grid_loops, "exponent_from_nodes", faulty)
+    with np.errstate(all="ignore"):
+        checks = check_consistency(*rough_survey, method="weno5")
+    failed = {c.name for c in checks if not c.passes}
+    assert "order:weno5" in failed and all("weno5" in name for name in failed)
 
 
 def test_a_profile_that_the_grids_do_not_resolve_is_left_open():
