@@ -23,13 +23,23 @@ ABOUT = "an-imported-survey"
 MOST_ROWS = 5  # that a message names
 LONGEST_SHOWN = 60  # characters of a line in a message
 SEPARATORS = {"\t": "tabs", ";": "semicolons", "|": "bars", ",": "commas", "": "blanks"}  # the first that fits is taken
+NEARLY_ALL = 0.9  # of the lines of a file
 COMMENT = ("#", "%", "//", "!")
 EMPTY = {"", "nan", "na", "n/a", "#n/a", "null", "none", "nodata", "-", "--", "*"}
-NUMBER = re.compile(r"[+-]?(\d[\d.,'’  ]*|[.,]\d+)([eE][+-]?\d+)?")
+GROUPS = "'’ \u00a0\u2009\u202f"  # marks between groups of three digits, besides the comma and the point
+NUMBER = re.compile(rf"[+-]?(\d[\d.,{GROUPS}]*|[.,]\d+)([eEdD][+-]?\d+)?")
+THOUSANDS = re.compile(r"[+-]?\d{1,3}(,\d{3})+(\.\d*)?")
+STRONG = "\t;|"  # separators that are in no number and hardly in a remark
 STATION = re.compile(r"([+-]?\d+)\+(\d{3}(?:[.,]\d*)?)")  # kilometres and metres
-DISTANCE = {"x", "distance", "dist", "chainage", "station", "s", "offset"}
-HEIGHT = {"height", "z", "elev", "elevation", "h", "altitude", "alt"}
-EASTING, NORTHING = {"x", "easting", "east", "e", "utmx"}, {"y", "northing", "north", "n", "utmy"}
+# Names of columns, the first that occurs is taken; also in German, French, Spanish and Italian
+DISTANCE = (
+    "distance", "dist", "chainage", "station", "sta", "offset", "s", "x", "entfernung", "abstand", "distanz",
+    "progresiva", "distancia", "progressiva", "distanza",
+)  # fmt: skip
+HEIGHT = (
+    "height", "elevation", "elev", "altitude", "alt", "z", "h", "ele", "rl", "höhe", "hoehe", "cota", "altura", "quota",
+)  # fmt: skip
+EASTING, NORTHING = ("x", "easting", "east", "e", "utmx"), ("y", "northing", "north", "n", "utmy")
 DEGREES = {"lon", "long", "longitude", "lat", "latitude"}
 LENGTHS = {"m": 1.0, "metre": 1.0, "meter": 1.0, "metres": 1.0, "meters": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3}
 LENGTHS |= {"ft": 0.3048, "feet": 0.3048, "foot": 0.3048, "yd": 0.9144, "mi": 1609.344}
@@ -79,6 +89,7 @@ def read_points(file: Path, columns: Sequence[str | int] | None = None, nodata: 
         raise InputError(f"file = {str(file)!r} has no line with two numbers; a survey needs x and height", ABOUT)
     comma = _decimal_comma(body, separator)
     chosen, names = _columns(file, headers, body, columns)
+    body, texts = [r for r in body if _has_digits(r)], sum(not _has_digits(r) for r in body)
     values, numbers, gaps, faults = _values(body, chosen, comma)
     below = _below_names(headers, names)
     faults = [row for row in below if not _only_units(row)] + faults
@@ -94,6 +105,7 @@ def read_points(file: Path, columns: Sequence[str | int] | None = None, nodata: 
     units = [" ".join([name, *cells]) for name, cells in zip(names, beneath, strict=True)]
     unit = _unit(file, units)
     notes = [f"separated by {SEPARATORS[separator]}"] if separator != "," else []
+    notes += [f"{texts} row{'s' * (texts > 1)} of text left out"] if texts else []
     notes += ["decimal commas"] * comma + [encoding] * bool(encoding)
     notes += [f"columns {' and '.join(names)}"] if len(chosen) > 2 or len(body[0].cells) > 2 else []
     if len(chosen) == 3:
@@ -155,7 +167,9 @@ def _split(text: str) -> tuple[list[Row], str]:
     if lines and (stated := re.fullmatch(r"\s*sep=(.)\s*", lines[0][1])):  # as spreadsheets write it
         return _rows(lines[1:], stated[1]), stated[1]
     best, found = (0, 0.0), (_rows(lines, ","), ",")
-    for separator in SEPARATORS:
+    # one that is in nearly all lines is the separator; commas and blanks beside it belong to numbers and remarks
+    strong = [mark for mark in STRONG if sum(mark in line for _, line in lines) > NEARLY_ALL * len(lines)]
+    for separator in strong or SEPARATORS:
         rows = _rows(lines, separator)
         counts = Counter((len(row.cells), n) for row in rows if (n := _numbers(row, separator)) >= 2)
         for (width, numeric), rows_alike in counts.items():
@@ -199,8 +213,10 @@ def _decimal_comma(body: list[Row], separator: str) -> bool:
     for cell in cells:
         if "," in cell and "." in cell:
             return cell.rindex(",") > cell.rindex(".")
-    commas = any("," in cell for cell in cells)
-    return commas and separator != "," and not any("." in cell for cell in cells)
+    commas = [cell for cell in cells if "," in cell]
+    if separator == "," and all(map(THOUSANDS.fullmatch, commas)):  # quoted
+        return False
+    return bool(commas) and not any("." in cell for cell in cells)
 
 
 def _value(cell: str, comma: bool) -> float:
@@ -210,21 +226,25 @@ def _value(cell: str, comma: bool) -> float:
     if station := STATION.fullmatch(cell):
         metres = float(station[2].replace(",", "."))
         return 1000.0 * float(station[1]) + (-metres if station[1].startswith("-") else metres)
-    digits = re.sub(r"(?<=\d)['’  ](?=\d)", "", cell)
+    digits = re.sub(rf"(?<=\d)[{GROUPS}](?=\d)", "", cell).replace("D", "e").replace("d", "e")
     digits = digits.replace(".", "").replace(",", ".") if comma else _without_thousands(digits)
     return float(digits)
 
 
 def _without_thousands(digits: str) -> str:
-    return digits.replace(",", "") if re.fullmatch(r"[+-]?\d{1,3}(,\d{3})+(\.\d*)?", digits) else digits
+    return digits.replace(",", "") if THOUSANDS.fullmatch(digits) else digits
+
+
+def words_of(name: str) -> list[str]:
+    """Return the words of the name of a column in small letters, without its unit and without signs."""
+    name = re.sub(r"[(\[].*?[)\]]", "", name.strip().strip("#").lower())
+    words = [word for word in re.split(r"[\s_/,.:-]+", name.strip()) if word]
+    return [word for word in words if word not in LENGTHS] or words
 
 
 def plain(name: str) -> str:
-    """Return the name of a column in small letters, without its unit and without signs."""
-    name = re.sub(r"[(\[].*?[)\]]", "", name.strip().strip("#").lower())
-    words = re.split(r"[\s_/,.-]+", name.strip())
-    kept = [word for word in words if word and word not in LENGTHS]
-    return "".join(kept) or "".join(words)
+    """Return the words of the name of a column as one."""
+    return "".join(words_of(name))
 
 
 def _columns(
@@ -233,7 +253,7 @@ def _columns(
     """Return the indices and the names of the columns of x (and y) and of height. Raises InputError."""
     width = Counter(len(row.cells) for row in body).most_common(1)[0][0]
     fitting = [row.cells for row in headers if len(row.cells) == width]
-    known = [cells for cells in fitting if {plain(cell) for cell in cells} & HEIGHT]
+    known = [cells for cells in fitting if {plain(cell) for cell in cells} & {*HEIGHT}]
     header = (known[:1] or fitting[-1:] or [[]])[0]
     names = header or [str(i + 1) for i in range(width)]
     numeric = [i for i in range(width) if _mostly_numbers(body, i)]
@@ -245,9 +265,8 @@ def _columns(
             f"file = {str(file)!r} has the column {degrees[0]}, and degrees are no lengths; project the points",
             ABOUT,
         )
-    by_name = {plain(name): i for i, name in reversed(list(enumerate(names))) if _has_a_number(body, i)}
-    x, y = _first(by_name, DISTANCE), _first(by_name, NORTHING)
-    east, z = _first(by_name, EASTING), _first(by_name, HEIGHT)
+    columns_of_numbers = {i: names[i] for i in range(width) if _has_a_number(body, i)}
+    x, y, east, z = (_first(columns_of_numbers, wanted) for wanted in (DISTANCE, NORTHING, EASTING, HEIGHT))
     if east is not None and y is not None and z is not None and (x is None or x == east):
         chosen = [east, y, z]
     elif x is not None and z is not None:
@@ -264,18 +283,31 @@ def _columns(
     return chosen, [names[i] for i in chosen]
 
 
+def _has_digits(row: Row) -> bool:
+    return any(mark.isdigit() for mark in row.line) or any(cell.lower() in EMPTY - {""} for cell in row.cells)
+
+
 def _below_names(headers: list[Row], names: list[str]) -> list[Row]:
     """Return the rows between that of the names and the first with numbers."""
     named = next((i for i, row in enumerate(headers) if set(names) <= set(row.cells)), len(headers))
-    return [row for row in headers[named + 1 :] if row.cells]
+    return [row for row in headers[named + 1 :] if any(mark.isalnum() for mark in row.line)]
 
 
 def _only_units(row: Row) -> bool:
     return all(cell.strip("()[] ").lower() in {*LENGTHS, ""} for cell in row.cells)
 
 
-def _first(by_name: dict[str, int], wanted: set[str]) -> int | None:
-    return next((i for name, i in by_name.items() if name in wanted), None)
+def _first(names: dict[int, str], wanted: Sequence[str]) -> int | None:
+    """Return the column whose name is wanted, or else contains a wanted word, of single letters only z."""
+    for word in wanted:
+        for i, name in names.items():
+            if plain(name) == word:
+                return i
+    for word in wanted:
+        for i, name in names.items():
+            if (len(word) > 1 or word == "z") and word in words_of(name):
+                return i
+    return None
 
 
 def _has_a_number(body: list[Row], column: int) -> bool:

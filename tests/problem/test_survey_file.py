@@ -93,6 +93,60 @@ def test_columns_gaps_and_order(tmp_path, text, columns, x, height, account):
     assert account in found.account and (found.account == "" if not account else True)
 
 
+def dialect(name):
+    """The points X, HEIGHT as a program of that name writes them; written independently of the reader."""
+    rows = list(enumerate(zip(X.tolist(), HEIGHT.tolist(), strict=True)))
+
+    def comma(value):
+        return f"{value:.2f}".replace(".", ",")
+
+    head, line = {
+        "pandas": (",x,z", lambda i, x, h: f"{i},{x},{h}"),
+        "markdown": ("| x | z |\n|---|---|", lambda i, x, h: f"| {x} | {h} |"),
+        "reduced levels": ("Chainage(m),RL(m)", lambda i, x, h: f"{x:.2f},{h:.2f}"),
+        "long names": (
+            "Nr;Distance along profile [m];Elevation above sea level [m];Code", lambda i, x, h: f"{i};{x};{h};A1"
+        ),
+        "Fortran": ("", lambda i, x, h: f"  {x:.4e}  {h:.9e}".replace("e", "D")),
+        "separators at the end": ("x;height;", lambda i, x, h: f"{x};{h};"),
+        "survey book": (
+            "Point,Northing,Easting,Elevation,Description",
+            lambda i, x, h: f"{i},{5160000 + 0.8 * x:.3f},{540000 + 0.6 * x:.3f},{h},gs",
+        ),
+        "German": ("Entfernung;Höhe ü. NN", lambda i, x, h: f"{comma(x)};1.{comma(h - 1000.0)}"),
+        "Spanish": ("Punto;Progresiva (m);Cota (m);Obs", lambda i, x, h: f"{i};{comma(x)};{comma(h)};-"),
+        "French": ("N°;Distance;Altitude;Remarque", lambda i, x, h: f"{i};{comma(x)};{comma(h)};ok"),
+        "hard blanks": ("x;h", lambda i, x, h: f"{comma(x)};1\u00a0{comma(h - 1000.0)}"),
+        "two lines of names": ("Profile A, 2024\nDistance,Height\n(m),(m)", lambda i, x, h: f"{x},{h}"),
+        "quoted decimal commas": ('"x","height"', lambda i, x, h: f'"{comma(x)}","{comma(h)}"'),
+        "shape file": ("FID,Id,FIRST_DIST,FIRST_Z", lambda i, x, h: f"{i},0,{x},{h}"),
+        "track": (
+            "id,time,distance_m,ele", lambda i, x, h: f"{i},2024-05-01T10:{i // 60:02d}:{i % 60:02d}Z,{x},{h}"
+        ),
+        "height first": ("elevation,distance", lambda i, x, h: f"{h},{x}"),
+        "aligned": ("x ,  height", lambda i, x, h: f"{x:8.2f} , {h:10.2f}"),
+        "a last line": ("x,height", lambda i, x, h: f"{x},{h}" + "\nEND" * (i == X.size - 1)),
+        "remarks in some rows": ("x,height,remark", lambda i, x, h: f"{x},{h}" + ",tree" * (i % 3 == 0)),
+        "signs": ("", lambda i, x, h: f"+{x:.2f},+{h:.2f}"),
+    }[name]  # fmt: skip
+    return "\n".join([head] * bool(head) + [line(i, x, h) for i, (x, h) in rows]) + "\n"
+
+
+DIALECTS = (
+    "pandas", "markdown", "reduced levels", "long names", "Fortran", "separators at the end", "survey book", "German",
+    "Spanish", "French", "hard blanks", "two lines of names", "quoted decimal commas", "shape file", "track",
+    "height first", "aligned", "a last line", "remarks in some rows", "signs",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DIALECTS)
+def test_exports_of_programs_are_read(tmp_path, name):
+    """To within the digits that the export has."""
+    x, height, _ = hj.read_survey(written(tmp_path, dialect(name)))
+    np.testing.assert_allclose(x, X, rtol=0, atol=2e-3)  # millimetres of easting and northing
+    np.testing.assert_allclose(height, HEIGHT, rtol=0, atol=1e-5)
+
+
 def test_numbers_of_missing_heights_may_be_given(tmp_path):
     """A number that is listed stands for no height, even if it could be one."""
     path = written(tmp_path, "x,height\n0,5\n1,0\n2,7\n")
