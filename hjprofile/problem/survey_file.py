@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import codecs
 import csv
+import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,6 +25,7 @@ ABOUT = "an-imported-survey"
 MOST_ROWS = 5  # that a message names
 LONGEST_SHOWN = 60  # characters of a line in a message
 SEPARATORS = {"\t": "tabs", ";": "semicolons", "|": "bars", ",": "commas", "": "blanks"}  # the first that fits is taken
+SAMPLE = 200  # lines at each end of a file in which the separator is sought
 NEARLY_ALL = 0.9  # of the lines of a file
 COMMENT = ("#", "%", "//", "!")
 EMPTY = {"", "nan", "na", "n/a", "#n/a", "null", "none", "nodata", "-", "--", "*"}
@@ -166,16 +169,17 @@ def _split(text: str) -> tuple[list[Row], str]:
     lines = [(n, line) for n, line in lines if not line.lstrip().startswith(COMMENT)]
     if lines and (stated := re.fullmatch(r"\s*sep=(.)\s*", lines[0][1])):  # as spreadsheets write it
         return _rows(lines[1:], stated[1]), stated[1]
-    best, found = (0, 0.0), (_rows(lines, ","), ",")
+    sample = lines if len(lines) <= 2 * SAMPLE else lines[:SAMPLE] + lines[-SAMPLE:]
+    best, found = (0, 0.0), ","
     # one that is in nearly all lines is the separator; commas and blanks beside it belong to numbers and remarks
-    strong = [mark for mark in STRONG if sum(mark in line for _, line in lines) > NEARLY_ALL * len(lines)]
+    strong = [mark for mark in STRONG if sum(mark in line for _, line in sample) > NEARLY_ALL * len(sample)]
     for separator in strong or SEPARATORS:
-        rows = _rows(lines, separator)
+        rows = _rows(sample, separator)
         counts = Counter((len(row.cells), n) for row in rows if (n := _numbers(row, separator)) >= 2)
         for (width, numeric), rows_alike in counts.items():
             if (rows_alike, numeric / width) > best:  # of separators that fit all rows, one that leaves no other text
-                best, found = (rows_alike, numeric / width), (rows, separator)
-    return found
+                best, found = (rows_alike, numeric / width), separator
+    return _rows(lines, found), found
 
 
 def _rows(lines: list[tuple[int, str]], separator: str) -> list[Row]:
@@ -221,6 +225,9 @@ def _decimal_comma(body: list[Row], separator: str) -> bool:
 
 def _value(cell: str, comma: bool) -> float:
     """Return the number in a cell, NaN for a gap. Raises ValueError."""
+    if not comma:
+        with suppress(ValueError):
+            return float(cell)  # as most cells are
     if cell.lower() in EMPTY:
         return np.nan
     if station := STATION.fullmatch(cell):
@@ -342,13 +349,13 @@ def _values(body: list[Row], chosen: list[int], comma: bool) -> tuple[Array, lis
         except (ValueError, IndexError):
             faults.append(row)
             continue
-        if np.isfinite(found[:-1]).all() and not np.isinf(found[-1]):
-            if np.isnan(found[-1]):
+        if all(map(math.isfinite, found[:-1])) and not math.isinf(found[-1]):
+            if math.isnan(found[-1]):
                 gaps += 1
             else:
                 values.append(found)
                 numbers.append(row.number)
-        elif np.isnan(found).any():
+        elif any(map(math.isnan, found)):
             gaps += 1
         else:
             faults.append(row)
