@@ -268,7 +268,7 @@ def _within(
         rule = "does not converge, though the profile is resolved"
         return Check(name, cells, error, order, allowed, False, rule)
     rule = f"at most {allowed:.2g}, {SAFETY:g} times the estimated errors"
-    if near and allowed > change + ABSOLUTE_ROUNDING:
+    if near and SAFETY * estimate > change + ABSOLUTE_ROUNDING:
         rule = f"the threshold {allowed:.2g} exceeds the change of the profile, {change:.2g}"
         return Check(name, cells, error, order, allowed, True, rule, False, decides=decides)
     return Check(name, cells, error, order, allowed, near or not resolved, rule, near or resolved, decides=decides)

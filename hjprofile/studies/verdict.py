@@ -32,7 +32,7 @@ class Check(NamedTuple):
         order = f"order {self.order:.2f}, " if self.order is not None else ""
         cells = f" on {self.cells[-1]} {self.unit}"
         verdict = ("passes" if self.resolved else "open") if self.passes else "FAILS"
-        return f"{verdict:7} {self.name:36} {order}{self.error[-1]:.2g}{cells}  ({self.rule})"
+        return f"{verdict:7} {self.name:38} {order}{self.error[-1]:.2g}{cells}  ({self.rule})"
 
 
 @dataclass(frozen=True, repr=False)

@@ -9,7 +9,7 @@ import pytest
 import hjprofile as hj
 from hjprofile.output.store import to_json
 from hjprofile.studies import consistency
-from hjprofile.studies.consistency import _completed, _within, check_consistency
+from hjprofile.studies.consistency import _completed, _identity, _within, check_consistency
 from hjprofile.studies.records import records
 from hjprofile.studies.verdict import Check, Consistency, verdict_of_all
 
@@ -178,3 +178,20 @@ def test_speeds_of_kinks_beyond_the_smallest_float_are_not_compared():
     wrong = kink._replace(x=-0.5, rankine_hugoniot_speed=0.0)  # K is near 1 there, and 0 is no speed
     found = {c.name: c for c in records(replace(run, kinks=[wrong]), problem, None, "")}
     assert not found["saved-kinks"].passes
+
+
+def test_rounding_that_K_passes_on_is_allowed_for():
+    """Where q = -0.95, f' = 1 / (1 + q)² = 400, and an error of q in one cell changes ln K by 400 Δx of it."""
+    problem = hj.Problem(hj.rational(), hj.steps([-4.0, -2.0, 0.0], [0.5, -0.95]), end=0.0, snapshots=2)
+    allowed = []
+    for n in (100, 400):
+        grid = hj.Grid(-5.0, n)
+        height, slope = hj.solve_hj(problem, grid, "godunov"), hj.solve_conservative(problem, grid)
+        runs = {("godunov", n): height, ("conservative-godunov", n): slope}
+        allowed.append(_identity(runs, n, "godunov", problem, coarse=False).threshold / np.sqrt(n))
+        faulty = {**runs, ("godunov", n): replace(height, u=height.u + 1e-6 * np.sin(9.0 * height.x))}
+        assert not _identity(faulty, n, "godunov", problem, coarse=False).passes
+    rounding = [1.95 + 4.05 / dx for dx in (0.05, 0.0125)]
+    factors = [1.0 + 400.0 * dx for dx in (0.05, 0.0125)]
+    ratio = rounding[0] * factors[0] / (rounding[1] * factors[1])
+    assert allowed[0] / allowed[1] == pytest.approx(ratio, rel=0.1)
