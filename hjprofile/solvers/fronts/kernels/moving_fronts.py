@@ -86,9 +86,7 @@ def advance(fronts, n, t, end, control, medium, work, journal):
         speeds(x, jump, n, crest_front(x, n), medium, work.sides, work.rate[0])
         active = active_part(n, end - t, medium, work)
         first = active.first
-        part = Fronts(
-            x[first:], jump[first:], fronts.label[first:], fronts.first_merge[first:], fronts.smooth[first:]
-        )
+        part = Fronts(x[first:], jump[first:], fronts.label[first:], fronts.first_merge[first:], fronts.smooth[first:])
         m, t, short = advance_part(part, n - first, (t, end, floor), short, control, active, medium, work, journal)
         n = first + m
     return n, t >= end or n == 0
@@ -182,7 +180,8 @@ def fit_folds(n, control, law, work):
 def runge_kutta(x, jump, n, dt, start, toe, medium, work):
     """Fill the positions after a step and the rates of its stages; return six times the means of K_left - 1 and F(0).
 
-    `start` holds these two at x, and rate[0] the speeds there. K_left is `toe` times K at the first front. On return the sides are those at the end of the step.
+    `start` holds these two at x, and rate[0] the speeds there. K_left is `toe` times K at the first front.
+    On return the sides are those at the end of the step.
     """
     sides, rate, trial, new = work.sides, work.rate, work.trial, work.new
     toe_gain, crest_lowering = start
