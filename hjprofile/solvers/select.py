@@ -22,6 +22,7 @@ from hjprofile.solvers.characteristics.moving_labels import LABEL, READ, TRY
 from hjprofile.solvers.characteristics.shock_fitting import FINEST, solve_characteristics
 from hjprofile.solvers.data_resolution import cells_resolve
 from hjprofile.solvers.front_tracking import begin, track, track_fronts
+from hjprofile.solvers.fronts.fans import DENSE, JUMP
 from hjprofile.solvers.run import Array, KinkRecord, Run
 from hjprofile.solvers.snapshots import Witness
 from hjprofile.solvers.stop import ROBUST_METHOD, Reason, Stop, Stopped
@@ -40,6 +41,8 @@ PER_BREAK = 8  # fronts of the pilot for each corner or jump: fewer do not disti
 MANY_BREAKS = 60  # number of breaks above which fronts merge the weaker ones
 APART = 1.6, 2.6  # smallest and largest ratio of two resolutions for an estimate; forecasts may use larger ones
 MOST_FRONTS = 25600
+MOST_FOR_JUMPS = 4  # the same for each of many jumps
+MORE_MERGED = 4  # ratio of the numbers of fronts of two pilots in which jumps are merged
 HOPELESS = 2.0  # multiple of MOST_FRONTS above which fronts are not tried if there is another result
 # Measured seconds of a step of one front, under a rational law and under others
 FRONT_STEP, TABLE_STEP = 8e-8, 2.7e-7
@@ -170,19 +173,19 @@ def _fronts_or_characteristics(search: _Search) -> bool:
         return _characteristics(search, np.inf, "because fronts do not meet the tolerance")
     ladder = _Ladder(search)
     needed = ladder.pilot()
-    least, spent = min(_usual_work(problem), WORTH_A_TRY), 0.0  # of characteristics
+    least, spent = max(min(_usual_work(problem), WORTH_A_TRY), _least_work(problem)), 0.0  # of characteristics
     while True:
         # characteristics may spend as much as all fronts would cost, in tries each twice as long as the last
         ahead = ladder.work(needed) if needed > ladder.first else 0.0
         work = ahead + sum(ladder.work(n) for n in ladder.u)
         if ahead > least and work > 2.0 * spent:
-            spent = work if needed <= MOST_FRONTS else np.inf
+            spent = work if needed <= ladder.most else np.inf
             why = f"because {needed:.2g} fronts would cost more" if np.isfinite(needed) else "because fronts fail"
             if _characteristics(search, spent, why):
                 return True
             if not (search.failed and search.failed[-1].reason is Reason.TOO_LONG):
                 spent = np.inf
-        if not np.isfinite(needed) or (needed > HOPELESS * MOST_FRONTS and search.done):
+        if not np.isfinite(needed) or (needed > HOPELESS * ladder.most and search.done):
             break
         reached, needed = ladder.solve(needed)
         if reached:
@@ -190,12 +193,22 @@ def _fronts_or_characteristics(search: _Search) -> bool:
     return np.isfinite(spent) and _characteristics(search, np.inf, "because fronts do not meet the tolerance")
 
 
-def _usual_work(problem: Problem) -> float:
-    """Return the seconds, by count, that characteristics usually take."""
+def _features(problem: Problem) -> float:
+    """Return the number of features of a profile that characteristics resolve."""
     profile = problem.profile
     bumps = profile.amplitudes.size if isinstance(profile, Bumps) else 0
-    features = max(1.0, bumps, len(profile.breaks(problem.law)) / CORNERS)
+    return max(1.0, bumps, len(profile.breaks(problem.law)) / CORNERS)
+
+
+def _usual_work(problem: Problem) -> float:
+    """Return the seconds, by count, that characteristics usually take."""
+    features = _features(problem)
     return (TRIES + TRIES_EACH * features) * (TRY + LABEL * LABELS * features) + READ * problem.kept
+
+
+def _least_work(problem: Problem) -> float:
+    """Return the seconds, by count, of as few steps as characteristics of any profile take."""
+    return TRIES * (TRY + LABEL * LABELS * _features(problem)) + READ * problem.kept
 
 
 def _characteristics(search: _Search, patience: float, why: str) -> bool:
@@ -244,6 +257,9 @@ class _Ladder:
         self.past: dict[int, Array] = {}  # fronts -> u - x between these times
         self.kinks: dict[int, Sequence[KinkRecord]] = {}
         self.breaks = search.problem.profile.breaks(search.problem.law)
+        jumps = int(np.count_nonzero(np.abs(self.breaks[:, 2] - self.breaks[:, 1]) > JUMP))
+        self.dense = jumps if jumps > DENSE else 0  # fronts of the first run with a graded fan at each jump
+        self.most = max(MOST_FRONTS, MOST_FOR_JUMPS * self.dense)
         self.safety = JUMPS if np.any(self.breaks[:, 1] != self.breaks[:, 2]) else SAFETY
         self.missed: dict[int, float] = {}  # fronts -> sup|W_d - W| of the data
         self.plain: dict[int, float] = {}  # fronts -> the error by second order, without a safety factor
@@ -293,8 +309,10 @@ class _Ladder:
             PILOT, PER_BREAK * min(breaks, MANY_BREAKS), int(min(np.sqrt(USUAL / self.search.tolerance), MOST_GUESS))
         )
         most = max(MOST_PILOT, 2 * PER_BREAK * breaks)
+        graded = int(APART[0] * self.dense) + 1
         while fronts <= most:
-            if self._run(fronts // 2) and (run := self._run(fronts, last=True)):
+            coarse = self.dense if fronts == graded else fronts // 2
+            if self._run(coarse) and (run := self._run(fronts, last=True)):
                 self.first, self.whole = fronts, run
                 needed = self._needed(fronts)
                 while (
@@ -302,8 +320,13 @@ class _Ladder:
                 ):  # a far forecast
                     fronts *= 4
                     needed = self._needed(fronts)
-                return needed
-            fronts *= 2
+                if not fronts < self.dense < needed:  # else merged jumps predict nothing about graded fans
+                    return needed
+                fronts = graded
+            elif fronts < self.dense:
+                fronts = MORE_MERGED * fronts if MORE_MERGED * fronts < self.dense // 2 else graded
+            else:
+                fronts *= 2
         return np.inf
 
     def _needed(self, fronts: int) -> float:
@@ -325,14 +348,14 @@ class _Ladder:
 
     def solve(self, needed: float) -> tuple[bool, float]:
         """Solve with about `needed` fronts; return True if the tolerance is met, and the number of fronts to try."""
-        search, fronts = self.search, int(min(needed, MOST_FRONTS))
+        search, fronts = self.search, int(min(needed, self.most))
         most = max(self.u)
         if fronts > APART[1] * most:  # half as many improve the prediction, and give the error later
             half = max(fronts // 2, int(APART[0] * most) + 1)
             if not self._run(half):
                 return False, np.inf
             needed = max(self._needed(half), APART[0] * half + 1.0)
-            fronts = int(min(needed, APART[1] * half, MOST_FRONTS))
+            fronts = int(min(needed, APART[1] * half, self.most))
         if not any(APART[0] * n <= fronts <= APART[1] * n for n in self.u):
             fronts = int(APART[0] * max(self.u)) + 1
         run = self.whole if fronts == self.first else self._run(fronts, last=True)
@@ -346,7 +369,7 @@ class _Ladder:
             reason, because = f"{fronts} fronts", search.failed[-1]
         if search.offer(run, reason, estimate, because):
             return True, fronts
-        return False, max(self._needed(fronts), MORE * fronts) if fronts < MOST_FRONTS else np.inf
+        return False, max(self._needed(fronts), MORE * fronts) if fronts < self.most else np.inf
 
 
 def _coarser(problem: Problem, grid: Grid) -> Grid:

@@ -12,7 +12,7 @@ from hjprofile.problem import Problem
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.profiles import Kinks
 from hjprofile.solvers.data_resolution import Sample, apart, divided, fine_sample
-from hjprofile.solvers.fronts.fans import JUMP, NODES, Limits, duration, fans, graded_fans, interpolated, room
+from hjprofile.solvers.fronts.fans import DENSE, JUMP, NODES, Limits, duration, fans, graded_fans, interpolated, room
 from hjprofile.solvers.run import Array
 from hjprofile.solvers.stop import ROBUST_METHOD, Reason, Stop, Stopped
 
@@ -37,6 +37,7 @@ class FrontData:
         largest_f: the largest |f|.
         r0: R(0), r on the far left.
         W_crest: W at x = 0.
+        dense: True if there are many jumps, with a graded fan at each.
         sample: the profile on a fine sample, or None if the fronts are the data.
     """
 
@@ -49,6 +50,7 @@ class FrontData:
     largest_f: float
     r0: float
     W_crest: float
+    dense: bool = False
     sample: Sample | None = None
 
     @property
@@ -126,7 +128,9 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int, pieces: Pieces) 
     if sample is None:
         area = -float(cuts[0]) * float(np.abs(jump).sum()) / fronts**2
     largest_f = float(np.abs(law.f(reached_q)).max())
-    data = FrontData(cuts[owner], jumps, label[owner] * last, flags, area, spacing, largest_f, r0, float(W[-1]), sample)
+    data = FrontData(
+        cuts[owner], jumps, label[owner] * last, flags, area, spacing, largest_f, r0, float(W[-1]), limits.dense, sample
+    )
     return data, table
 
 
@@ -144,9 +148,10 @@ def _placed(problem: Problem, left: float, fronts: int, breaks: Array) -> tuple[
     if np.count_nonzero(inside) > MARKS * fronts:  # corners alone need no cut
         inside &= jumps
     marked = breaks[inside]
-    dense = marked.shape[0] > MARKS * fronts
-    many = marked.shape[0] > fronts
-    limits = Limits.of(fronts, marked.shape[0]) if dense and not many else Limits()
+    count = marked.shape[0]
+    dense = DENSE < count <= fronts
+    many = count > MARKS * fronts and not dense
+    limits = Limits.of(fronts, count) if dense else Limits()
     shocks = breaks[breaks[:, 2] > breaks[:, 1] + JUMP, 0]
     need = _need(problem, sample, np.empty(0) if many else breaks[jumps, 0], shocks)
     s = np.append(0.0, np.cumsum(need * np.diff(sample.x)))

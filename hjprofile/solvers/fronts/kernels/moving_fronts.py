@@ -16,8 +16,7 @@ REPEAT_ABOVE = 1.2  # relative to the allowed error; above it a step is repeated
 MAX_STEP_RATIO = 2.0  # largest ratio of a step to the previous one
 CROSSING_FACTOR = 0.35  # factor of the estimate by fronts that have crossed; measured: the estimate is too large
 MOST_FOLDS = 2.0  # lengths 1/|f|, over which K changes by a factor e, that a front may cross in a step
-# Longest distance that a front which is left at rest would move until the next saved time, and the same when it is set
-STILL, STILL_AT_FIRST = 1e-15, 1e-19
+STILL_AT_FIRST = 1e-3  # of `still`, for fronts that are left at rest: they remain there until K is 1000 times larger
 MAX_SHORT_STEPS = 10_000  # steps below STEP_FLOOR before a run fails; the first ones can be shorter than later ones
 
 
@@ -29,6 +28,7 @@ class Control(NamedTuple):
         allowed: error of W per unit of time that the motion between events and late merges may add.
         longest: longest step.
         saved: longest time for which unused error is saved for later steps.
+        still: fronts that would move less than this until the next saved time are left at rest.
         step: the next step and the time for which error is saved, shape (2,).
     """
 
@@ -36,6 +36,7 @@ class Control(NamedTuple):
     allowed: float
     longest: float
     saved: float
+    still: float
     step: np.ndarray
 
 
@@ -58,7 +59,7 @@ class Workspace(NamedTuple):
 
 
 class Active(NamedTuple):
-    """The active part of the slope: the fronts that move by more than STILL until the next saved time.
+    """The active part of the slope: the fronts that move until the next saved time.
 
     Attributes:
         first: index of its first front.
@@ -84,7 +85,7 @@ def advance(fronts, n, t, end, control, medium, work, journal):
     floor, short = STEP_FLOOR * (end - t), 0
     while t < end and n > 0 and short <= MAX_SHORT_STEPS:
         speeds(x, jump, n, crest_front(x, n), medium, work.sides, work.rate[0])
-        active = active_part(n, end - t, medium, work)
+        active = active_part(n, control.still / (end - t), medium, work)
         first = active.first
         part = Fronts(x[first:], jump[first:], fronts.label[first:], fronts.first_merge[first:], fronts.smooth[first:])
         m, t, short = advance_part(part, n - first, (t, end, floor), short, control, active, medium, work, journal)
@@ -93,8 +94,8 @@ def advance(fronts, n, t, end, control, medium, work, journal):
 
 
 @compiled
-def active_part(n, duration, medium, work):
-    """Return the active part of n fronts, after a sweep with their speeds in rate[0].
+def active_part(n, slowest, medium, work):
+    """Return the active part of n fronts, after a sweep with their speeds in rate[0]. Others move below `slowest`.
 
     K falls by many orders of magnitude along a slope with hollows, and grains do not reach its lower part until the
     hollows above are full. The values of r left of the first moving front are constant, and K changes in proportion.
@@ -103,15 +104,15 @@ def active_part(n, duration, medium, work):
     first, largest = 0, 0.0
     for j in range(n - 1):
         rate = max(speed[j], sides.K[j] * abs(law_q_f(sides.r_right[j], medium.law)[1]))
-        if not max(rate, largest) * duration <= STILL_AT_FIRST:
+        if not max(rate, largest) <= STILL_AT_FIRST * slowest:
             break
         first, largest = j, max(rate, largest)
     if first == 0:
         return Active(0, medium.r0, 1.0, np.inf)
     K = sides.K[first]
     if largest > 0.0:
-        return Active(first, sides.r_left[first], sides.K[0] / K, K * STILL / (largest * duration))
-    return Active(first, sides.r_left[first], 0.0, STILL_AT_FIRST)
+        return Active(first, sides.r_left[first], sides.K[0] / K, K * slowest / largest)
+    return Active(first, sides.r_left[first], 0.0, STILL_AT_FIRST * slowest)
 
 
 @compiled
