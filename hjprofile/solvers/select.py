@@ -236,12 +236,19 @@ def beside_kinks(kinks: Sequence[KinkRecord], others: Sequence[KinkRecord], time
     for t in times.tolist():
         found, known = (np.array([(k.x, k.jump) for k in of if k.time == t]).reshape(-1, 2) for of in (kinks, others))
         if found.size and known.size:
-            apart = np.abs(found[:, :1] - known[:, 0])
-            first, second = apart.argmin(axis=1), apart.argmin(axis=0)
+            first, second = _nearest(found[:, 0], known[:, 0]), _nearest(known[:, 0], found[:, 0])
             same = second[first] == np.arange(len(first))  # other kinks exist in one run only
-            d, jump = apart.min(axis=1)[same], np.minimum(found[same, 1], known[first[same], 1])
+            d = np.abs(found[:, 0] - known[first, 0])[same]
+            jump = np.minimum(found[same, 1], known[first[same], 1])
             largest = max(largest, float(np.max(-jump * length * np.expm1(-d / length), initial=0.0)))
     return largest
+
+
+def _nearest(x: Array, places: Array) -> Array:
+    """Return the index of the nearest of the increasing places to each x, the first of two."""
+    right = np.minimum(np.searchsorted(places, x), places.size - 1)
+    left = np.maximum(right - 1, 0)
+    return np.where(np.abs(x - places[left]) <= np.abs(x - places[right]), left, right)
 
 
 class _Ladder:
