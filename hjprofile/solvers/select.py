@@ -22,7 +22,7 @@ from hjprofile.solvers.characteristics.moving_labels import LABEL, READ, TRY
 from hjprofile.solvers.characteristics.shock_fitting import FINEST, solve_characteristics
 from hjprofile.solvers.data_resolution import cells_resolve
 from hjprofile.solvers.front_tracking import begin, track, track_fronts
-from hjprofile.solvers.fronts.fans import DENSE, JUMP
+from hjprofile.solvers.fronts.fans import DENSE, FRONTS_PER_JUMP, JUMP
 from hjprofile.solvers.run import Array, KinkRecord, Run
 from hjprofile.solvers.snapshots import Witness
 from hjprofile.solvers.stop import ROBUST_METHOD, Reason, Stop, Stopped
@@ -41,7 +41,7 @@ PER_BREAK = 8  # fronts of the pilot for each corner or jump: fewer do not disti
 MANY_BREAKS = 60  # number of breaks above which fronts merge the weaker ones
 APART = 1.6, 2.6  # smallest and largest ratio of two resolutions for an estimate; forecasts may use larger ones
 MOST_FRONTS = 25600
-MOST_FOR_JUMPS = 4  # the same for each of many jumps
+MOST_FOR_JUMPS = 8  # the same, relative to the smallest number with graded fans of many jumps
 MORE_MERGED = 4  # ratio of the numbers of fronts of two pilots in which jumps are merged
 HOPELESS = 2.0  # multiple of MOST_FRONTS above which fronts are not tried if there is another result
 # Measured seconds of a step of one front, under a rational law and under others
@@ -265,7 +265,9 @@ class _Ladder:
         self.kinks: dict[int, Sequence[KinkRecord]] = {}
         self.breaks = search.problem.profile.breaks(search.problem.law)
         jumps = int(np.count_nonzero(np.abs(self.breaks[:, 2] - self.breaks[:, 1]) > JUMP))
-        self.dense = jumps if jumps > DENSE else 0  # fronts of the first run with a graded fan at each jump
+        self.dense = (
+            int(np.ceil(FRONTS_PER_JUMP * jumps)) if jumps > DENSE else 0
+        )  # fronts of the first run with a graded fan at each jump
         self.most = max(MOST_FRONTS, MOST_FOR_JUMPS * self.dense)
         self.safety = JUMPS if np.any(self.breaks[:, 1] != self.breaks[:, 2]) else SAFETY
         self.missed: dict[int, float] = {}  # fronts -> sup|W_d - W| of the data

@@ -14,10 +14,11 @@ NODES = 33  # number of values of q along a fan, between which its fronts are in
 SWALLOWED = 16.0  # largest width to which a fall opens, in distances to the nearest shock
 FAN_FRONT = 0.25  # largest fall of ln R across one front, if fans are not dense
 FEWEST_IN_FAN = 4  # smallest number of fronts in the fan of a stated jump, likewise
-DENSE = 100  # number of jumps above which fans are graded if there is a front for each jump, and merged otherwise
+DENSE = 100  # number of jumps above which fans are graded if there are sufficient fronts, and jumps merged otherwise
+FRONTS_PER_JUMP = 0.65  # of a number of fronts that is sufficient; the fronts of graded fans are additional
 JUMP = 1e-12  # smallest jump of q at a break
 MEAN_OVER = 0.25  # distance on either side over which a mean slope is taken, in decay lengths R'(0)
-FINEST, GRADING = 0.03, 0.7  # fall of ln(1 + q) across a front, and relative to that from the mean slope
+FINEST, GRADING = 0.04, 0.62  # fall of ln(1 + q) across a front, and relative to that from the mean slope
 
 
 class Limits(NamedTuple):
@@ -36,7 +37,7 @@ class Limits(NamedTuple):
     @classmethod
     def of(cls, fronts: int, jumps: int) -> Limits:
         """Return the limits of the fans of many jumps: both fractions of a fall are halved by twice the fronts."""
-        return cls(min(jumps / fronts, 1.0), 1, True)
+        return cls(min(FRONTS_PER_JUMP * jumps / fronts, 1.0), 1, True)
 
 
 class Fans(NamedTuple):

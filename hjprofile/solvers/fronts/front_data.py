@@ -12,7 +12,18 @@ from hjprofile.problem import Problem
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.profiles import Kinks
 from hjprofile.solvers.data_resolution import Sample, apart, divided, fine_sample
-from hjprofile.solvers.fronts.fans import DENSE, JUMP, NODES, Limits, duration, fans, graded_fans, interpolated, room
+from hjprofile.solvers.fronts.fans import (
+    DENSE,
+    FRONTS_PER_JUMP,
+    JUMP,
+    NODES,
+    Limits,
+    duration,
+    fans,
+    graded_fans,
+    interpolated,
+    room,
+)
 from hjprofile.solvers.run import Array
 from hjprofile.solvers.stop import ROBUST_METHOD, Reason, Stop, Stopped
 
@@ -149,7 +160,7 @@ def _placed(problem: Problem, left: float, fronts: int, breaks: Array) -> tuple[
         inside &= jumps
     marked = breaks[inside]
     count = marked.shape[0]
-    dense = DENSE < count <= fronts
+    dense = count > DENSE and FRONTS_PER_JUMP * count <= fronts
     many = count > MARKS * fronts and not dense
     limits = Limits.of(fronts, count) if dense else Limits()
     shocks = breaks[breaks[:, 2] > breaks[:, 1] + JUMP, 0]

@@ -21,7 +21,7 @@ from hjprofile.solvers.kernels.law import LawTable, law_q_f, start_pieces
 from hjprofile.solvers.run import Array
 
 TIME = 1.0  # largest error of the time steps, in areas of a piece; measured: a tenth of the error in space
-TIME_DENSE = 16.0  # the same for dense jumps, where the error in space is larger; measured: less than a tenth of it
+TIME_DENSE = 20.0  # the same for dense jumps, where the error in space is larger; measured: less than a tenth of it
 STILL = 1e-4  # error of u by fronts that are left at rest, in areas of a piece
 SAVED = 0.1  # largest time for which unused error is saved for later steps, as a fraction of the end
 TAYLOR_REACH = 0.05  # largest distance of a Taylor series
