@@ -7,6 +7,7 @@ is counted, not timed, so the choice is the same on every machine and a case is 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -265,11 +266,11 @@ class _Ladder:
         self.kinks: dict[int, Sequence[KinkRecord]] = {}
         self.breaks = search.problem.profile.breaks(search.problem.law)
         jumps = int(np.count_nonzero(np.abs(self.breaks[:, 2] - self.breaks[:, 1]) > JUMP))
-        self.dense = (
-            int(np.ceil(FRONTS_PER_JUMP * jumps)) if jumps > DENSE else 0
-        )  # fronts of the first run with a graded fan at each jump
+        # the fronts of the first run with a graded fan at each jump
+        self.dense = math.ceil(FRONTS_PER_JUMP * jumps) if jumps > DENSE else 0
         self.most = max(MOST_FRONTS, MOST_FOR_JUMPS * self.dense)
-        self.safety = JUMPS if np.any(self.breaks[:, 1] != self.breaks[:, 2]) else SAFETY
+        irregular = not self.dense and bool(np.any(self.breaks[:, 1] != self.breaks[:, 2]))
+        self.safety = JUMPS if irregular else SAFETY  # the errors of many graded fans average
         self.missed: dict[int, float] = {}  # fronts -> sup|W_d - W| of the data
         self.plain: dict[int, float] = {}  # fronts -> the error by second order, without a safety factor
         self.steps = 0.0  # for each front
@@ -318,10 +319,8 @@ class _Ladder:
             PILOT, PER_BREAK * min(breaks, MANY_BREAKS), int(min(np.sqrt(USUAL / self.search.tolerance), MOST_GUESS))
         )
         most = max(MOST_PILOT, 2 * PER_BREAK * breaks)
-        graded = int(APART[0] * self.dense) + 1
         while fronts <= most:
-            coarse = self.dense if fronts == graded else fronts // 2
-            if self._run(coarse) and (run := self._run(fronts, last=True)):
+            if self._run(fronts // 2) and (run := self._run(fronts, last=True)):
                 self.first, self.whole = fronts, run
                 needed = self._needed(fronts)
                 while (
@@ -331,9 +330,9 @@ class _Ladder:
                     needed = self._needed(fronts)
                 if not fronts < self.dense < needed:  # else merged jumps predict nothing about graded fans
                     return needed
-                fronts = graded
+                fronts = 2 * self.dense
             elif fronts < self.dense:
-                fronts = MORE_MERGED * fronts if MORE_MERGED * fronts < self.dense // 2 else graded
+                fronts = MORE_MERGED * fronts if MORE_MERGED * fronts < self.dense // 2 else 2 * self.dense
             else:
                 fronts *= 2
         return np.inf

@@ -15,10 +15,10 @@ SWALLOWED = 16.0  # largest width to which a fall opens, in distances to the nea
 FAN_FRONT = 0.25  # largest fall of ln R across one front, if fans are not dense
 FEWEST_IN_FAN = 4  # smallest number of fronts in the fan of a stated jump, likewise
 DENSE = 100  # number of jumps above which fans are graded if there are sufficient fronts, and jumps merged otherwise
-FRONTS_PER_JUMP = 0.65  # of a number of fronts that is sufficient; the fronts of graded fans are additional
+FRONTS_PER_JUMP = 0.5  # of a number of fronts that is sufficient; the fronts of graded fans are additional
 JUMP = 1e-12  # smallest jump of q at a break
 MEAN_OVER = 0.25  # distance on either side over which a mean slope is taken, in decay lengths R'(0)
-FINEST, GRADING = 0.04, 0.62  # fall of ln(1 + q) across a front, and relative to that from the mean slope
+FINEST, GRADING = 0.05, 0.8  # fall of ln(1 + q) across a front, and relative to that from the mean slope
 
 
 class Limits(NamedTuple):
