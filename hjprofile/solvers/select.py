@@ -35,6 +35,7 @@ Progress = Callable[[float], None]
 # 1.3 with 1000 fronts and more, and within 4 with 100.
 SAFETY, FEW = 1.3, 300
 JUMPS = 2.0  # replaces SAFETY if q jumps: new fronts of fans have irregular positions
+AVERAGED = 1000  # number of jumps above which the errors of graded fans average, and the safety tends to SAFETY
 AIM = 0.6  # error of the next resolution, as a fraction of the tolerance
 PILOT, MOST_PILOT = 64, 1024  # fronts of the pilot; more if these fail
 USUAL, MOST_GUESS = 30.0, 500  # usual estimate times the square of fronts, and the largest pilot by it
@@ -269,8 +270,7 @@ class _Ladder:
         # the fronts of the first run with a graded fan at each jump
         self.dense = math.ceil(FRONTS_PER_JUMP * jumps) if jumps > DENSE else 0
         self.most = max(MOST_FRONTS, MOST_FOR_JUMPS * self.dense)
-        irregular = not self.dense and bool(np.any(self.breaks[:, 1] != self.breaks[:, 2]))
-        self.safety = JUMPS if irregular else SAFETY  # the errors of many graded fans average
+        self.jumps = jumps if np.any(self.breaks[:, 1] != self.breaks[:, 2]) else 0
         self.missed: dict[int, float] = {}  # fronts -> sup|W_d - W| of the data
         self.plain: dict[int, float] = {}  # fronts -> the error by second order, without a safety factor
         self.steps = 0.0  # for each front
@@ -300,6 +300,13 @@ class _Ladder:
             self.steps = max(run.steps - problem.kept, 0) / fronts  # each saved time may shorten a step
         return run
 
+    def _safety(self, fronts: float) -> float:
+        """Return the factor of an estimate with so many fronts."""
+        if not self.jumps:
+            return SAFETY
+        graded = self.dense and fronts >= 2 * self.dense
+        return SAFETY + (JUMPS - SAFETY) * (min(1.0, AVERAGED / self.jumps) if graded else 1.0)
+
     def _estimate(self, fronts: int, apart_at_most: float = APART[1]) -> float:
         """Return the Richardson estimate of the error with `fronts` fronts; inf without a coarser run."""
         below = [n for n in self.u if APART[0] * n <= fronts <= apart_at_most * n]
@@ -310,7 +317,8 @@ class _Ladder:
         apart = max(float(np.abs(of[fronts] - of[n]).max(initial=0.0)) for of in (self.u, self.past))
         apart = max(apart, beside_kinks(self.kinks[fronts], self.kinks[n], self.few.times, length))
         self.plain[fronts] = apart / ((fronts / n) ** 2 - 1.0)
-        return max(self.safety * (1.0 + FEW / fronts) * self.plain[fronts], self.missed[fronts]) + EXACT_FRONTS_ERROR
+        plain = self._safety(fronts) * (1.0 + FEW / fronts) * self.plain[fronts]
+        return max(plain, self.missed[fronts]) + EXACT_FRONTS_ERROR
 
     def pilot(self) -> float:
         """Return the number of fronts for the tolerance; inf if the pilot fails."""
@@ -343,8 +351,9 @@ class _Ladder:
         if estimate <= self.search.tolerance:
             return float(fronts)
         wanted = AIM * self.search.tolerance
-        n = fronts * np.sqrt(self.safety * self.plain[fronts] / wanted)
-        n = fronts * np.sqrt(self.safety * (1.0 + FEW / max(n, fronts)) * self.plain[fronts] / wanted)
+        error = self._safety(fronts) * self.plain[fronts]
+        n = fronts * np.sqrt(error / wanted)
+        n = fronts * np.sqrt(error * (1.0 + FEW / max(n, fronts)) / wanted)
         return float(np.ceil(max(n, MORE * fronts)))
 
     def work(self, fronts: float) -> float:

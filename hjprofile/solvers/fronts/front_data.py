@@ -257,6 +257,8 @@ def _divided_fans(
 ) -> tuple[Array, Array]:
     """Return the levels of fronts at equal steps of s, and their number at each cut, `where` the fans are."""
     opened = np.flatnonzero(count > 1)
+    if not opened.size:
+        return np.empty(0), np.zeros(cuts, dtype=np.int64)
     count = count[opened]
     row = np.repeat(opened, count + 1)
     place = np.arange(row.size) - np.repeat(np.cumsum(count + 1) - count - 1, count + 1)
