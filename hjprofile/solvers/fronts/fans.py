@@ -27,17 +27,17 @@ class Limits(NamedTuple):
     Attributes:
         strongest: largest fall of ln R across one front; stronger ones, if q changes sign, approach q = -1.
         fewest: smallest number of fronts of a stated jump.
-        dense: True if the fans are so near to each other that most are swallowed soon.
+        dense: number of the jumps if they are so near to each other that most fans are swallowed soon, otherwise 0.
     """
 
     strongest: float = FAN_FRONT
     fewest: int = FEWEST_IN_FAN
-    dense: bool = False
+    dense: int = 0
 
     @classmethod
     def of(cls, fronts: int, jumps: int) -> Limits:
         """Return the limits of the fans of many jumps: both fractions of a fall are halved by twice the fronts."""
-        return cls(min(FRONTS_PER_JUMP * jumps / fronts, 1.0), 1, True)
+        return cls(min(FRONTS_PER_JUMP * jumps / fronts, 1.0), 1, jumps)
 
 
 class Fans(NamedTuple):

@@ -48,7 +48,7 @@ class FrontData:
         largest_f: the largest |f|.
         r0: R(0), r on the far left.
         W_crest: W at x = 0.
-        dense: True if there are many jumps, with a graded fan at each.
+        dense: number of jumps if there are many, with a graded fan at each; otherwise 0.
         sample: the profile on a fine sample, or None if the fronts are the data.
     """
 
@@ -61,7 +61,7 @@ class FrontData:
     largest_f: float
     r0: float
     W_crest: float
-    dense: bool = False
+    dense: int = 0
     sample: Sample | None = None
 
     @property
