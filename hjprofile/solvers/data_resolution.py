@@ -16,6 +16,7 @@ PARTS = 4  # parts of each interval between two marks of a profile
 MOST_PARTS = 64  # largest number of parts of an interval with a large change of slope
 NEAREST = 1e-11  # smallest distance of two positions, relative to x: q = ΔW/Δx has an error of 1e-16/1e-11
 SLOPE, FLUX = 0.1, 0.2  # largest error of q, as a fraction of ‖q‖₁, and of ln K
+NO_GRAINS = -40.0  # ln K below which no grains arrive: K f moves nothing there, to rounding
 FALL = 0.05  # largest error by an expansion shock, as a fraction of the range of W
 
 
@@ -107,7 +108,7 @@ def compare_data(problem: Problem, sample: Sample, W: Array, ln_K: Array, area: 
     off = W - sample.W
     off -= off[0]
     norm = float(np.abs(sample.q) @ np.diff(sample.x))
-    flux = float(np.abs(ln_K - sample.ln_K).max())
+    flux = float(np.abs(np.maximum(ln_K, NO_GRAINS) - np.maximum(sample.ln_K, NO_GRAINS)).max())
     slope = float(np.abs(np.diff(off)).sum()) / norm if norm else 0.0
     extent = float(np.ptp(sample.W)) * float(problem.law.R_derivative(0.0))
     fall = area / (8.0 * extent) if extent else 0.0

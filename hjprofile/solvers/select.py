@@ -7,6 +7,7 @@ is counted, not timed, so the choice is the same on every machine and a case is 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -22,6 +23,7 @@ from hjprofile.solvers.characteristics.moving_labels import LABEL, READ, TRY
 from hjprofile.solvers.characteristics.shock_fitting import FINEST, solve_characteristics
 from hjprofile.solvers.data_resolution import cells_resolve
 from hjprofile.solvers.front_tracking import begin, track, track_fronts
+from hjprofile.solvers.fronts.fans import DENSE, FRONTS_PER_JUMP, JUMP
 from hjprofile.solvers.run import Array, KinkRecord, Run
 from hjprofile.solvers.snapshots import Witness
 from hjprofile.solvers.stop import ROBUST_METHOD, Reason, Stop, Stopped
@@ -33,6 +35,7 @@ Progress = Callable[[float], None]
 # 1.3 with 1000 fronts and more, and within 4 with 100.
 SAFETY, FEW = 1.3, 300
 JUMPS = 2.0  # replaces SAFETY if q jumps: new fronts of fans have irregular positions
+AVERAGED = 1000  # number of jumps above which the errors of graded fans average, and the safety tends to SAFETY
 AIM = 0.6  # error of the next resolution, as a fraction of the tolerance
 PILOT, MOST_PILOT = 64, 1024  # fronts of the pilot; more if these fail
 USUAL, MOST_GUESS = 30.0, 500  # usual estimate times the square of fronts, and the largest pilot by it
@@ -40,6 +43,8 @@ PER_BREAK = 8  # fronts of the pilot for each corner or jump: fewer do not disti
 MANY_BREAKS = 60  # number of breaks above which fronts merge the weaker ones
 APART = 1.6, 2.6  # smallest and largest ratio of two resolutions for an estimate; forecasts may use larger ones
 MOST_FRONTS = 25600
+MOST_FOR_JUMPS = 8  # the same, relative to the smallest number with graded fans of many jumps
+MORE_MERGED = 4  # ratio of the numbers of fronts of two pilots in which jumps are merged
 HOPELESS = 2.0  # multiple of MOST_FRONTS above which fronts are not tried if there is another result
 # Measured seconds of a step of one front, under a rational law and under others
 FRONT_STEP, TABLE_STEP = 8e-8, 2.7e-7
@@ -170,19 +175,19 @@ def _fronts_or_characteristics(search: _Search) -> bool:
         return _characteristics(search, np.inf, "because fronts do not meet the tolerance")
     ladder = _Ladder(search)
     needed = ladder.pilot()
-    least, spent = min(usual_work(problem), WORTH_A_TRY), 0.0  # of characteristics
+    least, spent = max(min(usual_work(problem), WORTH_A_TRY), _least_work(problem)), 0.0  # of characteristics
     while True:
         # characteristics may spend as much as all fronts would cost, in tries each twice as long as the last
         ahead = ladder.work(needed) if needed > ladder.first else 0.0
         work = ahead + sum(ladder.work(n) for n in ladder.u)
         if ahead > least and work > 2.0 * spent:
-            spent = work if needed <= MOST_FRONTS else np.inf
+            spent = work if needed <= ladder.most else np.inf
             why = f"because {needed:.2g} fronts would cost more" if np.isfinite(needed) else "because fronts fail"
             if _characteristics(search, spent, why):
                 return True
             if not (search.failed and search.failed[-1].reason is Reason.TOO_LONG):
                 spent = np.inf
-        if not np.isfinite(needed) or (needed > HOPELESS * MOST_FRONTS and search.done):
+        if not np.isfinite(needed) or (needed > HOPELESS * ladder.most and search.done):
             break
         reached, needed = ladder.solve(needed)
         if reached:
@@ -190,12 +195,22 @@ def _fronts_or_characteristics(search: _Search) -> bool:
     return np.isfinite(spent) and _characteristics(search, np.inf, "because fronts do not meet the tolerance")
 
 
-def usual_work(problem: Problem) -> float:
-    """Return the seconds, by count, that characteristics usually take."""
+def _features(problem: Problem) -> float:
+    """Return the number of features of a profile that characteristics resolve."""
     profile = problem.profile
     bumps = profile.amplitudes.size if isinstance(profile, Bumps) else 0
-    features = max(1.0, bumps, len(profile.breaks(problem.law)) / CORNERS)
+    return max(1.0, bumps, len(profile.breaks(problem.law)) / CORNERS)
+
+
+def usual_work(problem: Problem) -> float:
+    """Return the seconds, by count, that characteristics usually take."""
+    features = _features(problem)
     return (TRIES + TRIES_EACH * features) * (TRY + LABEL * LABELS * features) + READ * problem.kept
+
+
+def _least_work(problem: Problem) -> float:
+    """Return the seconds, by count, of as few steps as characteristics of any profile take."""
+    return TRIES * (TRY + LABEL * LABELS * _features(problem)) + READ * problem.kept
 
 
 def _characteristics(search: _Search, patience: float, why: str) -> bool:
@@ -223,12 +238,19 @@ def beside_kinks(kinks: Sequence[KinkRecord], others: Sequence[KinkRecord], time
     for t in times.tolist():
         found, known = (np.array([(k.x, k.jump) for k in of if k.time == t]).reshape(-1, 2) for of in (kinks, others))
         if found.size and known.size:
-            apart = np.abs(found[:, :1] - known[:, 0])
-            first, second = apart.argmin(axis=1), apart.argmin(axis=0)
+            first, second = _nearest(found[:, 0], known[:, 0]), _nearest(known[:, 0], found[:, 0])
             same = second[first] == np.arange(len(first))  # other kinks exist in one run only
-            d, jump = apart.min(axis=1)[same], np.minimum(found[same, 1], known[first[same], 1])
+            d = np.abs(found[:, 0] - known[first, 0])[same]
+            jump = np.minimum(found[same, 1], known[first[same], 1])
             largest = max(largest, float(np.max(-jump * length * np.expm1(-d / length), initial=0.0)))
     return largest
+
+
+def _nearest(x: Array, places: Array) -> Array:
+    """Return the index of the nearest of the increasing places to each x, the first of two."""
+    right = np.minimum(np.searchsorted(places, x), places.size - 1)
+    left = np.maximum(right - 1, 0)
+    return np.where(np.abs(x - places[left]) <= np.abs(x - places[right]), left, right)
 
 
 class _Ladder:
@@ -244,7 +266,11 @@ class _Ladder:
         self.past: dict[int, Array] = {}  # fronts -> u - x between these times
         self.kinks: dict[int, Sequence[KinkRecord]] = {}
         self.breaks = search.problem.profile.breaks(search.problem.law)
-        self.safety = JUMPS if np.any(self.breaks[:, 1] != self.breaks[:, 2]) else SAFETY
+        jumps = int(np.count_nonzero(np.abs(self.breaks[:, 2] - self.breaks[:, 1]) > JUMP))
+        # the fronts of the first run with a graded fan at each jump
+        self.dense = math.ceil(FRONTS_PER_JUMP * jumps) if jumps > DENSE else 0
+        self.most = max(MOST_FRONTS, MOST_FOR_JUMPS * self.dense)
+        self.jumps = jumps if np.any(self.breaks[:, 1] != self.breaks[:, 2]) else 0
         self.missed: dict[int, float] = {}  # fronts -> sup|W_d - W| of the data
         self.plain: dict[int, float] = {}  # fronts -> the error by second order, without a safety factor
         self.steps = 0.0  # for each front
@@ -274,6 +300,13 @@ class _Ladder:
             self.steps = max(run.steps - problem.kept, 0) / fronts  # each saved time may shorten a step
         return run
 
+    def _safety(self, fronts: float) -> float:
+        """Return the factor of an estimate with so many fronts."""
+        if not self.jumps:
+            return SAFETY
+        graded = self.dense and fronts >= 2 * self.dense
+        return SAFETY + (JUMPS - SAFETY) * (min(1.0, AVERAGED / self.jumps) if graded else 1.0)
+
     def _estimate(self, fronts: int, apart_at_most: float = APART[1]) -> float:
         """Return the Richardson estimate of the error with `fronts` fronts; inf without a coarser run."""
         below = [n for n in self.u if APART[0] * n <= fronts <= apart_at_most * n]
@@ -284,7 +317,8 @@ class _Ladder:
         apart = max(float(np.abs(of[fronts] - of[n]).max(initial=0.0)) for of in (self.u, self.past))
         apart = max(apart, beside_kinks(self.kinks[fronts], self.kinks[n], self.few.times, length))
         self.plain[fronts] = apart / ((fronts / n) ** 2 - 1.0)
-        return max(self.safety * (1.0 + FEW / fronts) * self.plain[fronts], self.missed[fronts]) + EXACT_FRONTS_ERROR
+        plain = self._safety(fronts) * (1.0 + FEW / fronts) * self.plain[fronts]
+        return max(plain, self.missed[fronts]) + EXACT_FRONTS_ERROR
 
     def pilot(self) -> float:
         """Return the number of fronts for the tolerance; inf if the pilot fails."""
@@ -302,8 +336,13 @@ class _Ladder:
                 ):  # a far forecast
                     fronts *= 4
                     needed = self._needed(fronts)
-                return needed
-            fronts *= 2
+                if not fronts < self.dense < needed:  # else merged jumps predict nothing about graded fans
+                    return needed
+                fronts = 2 * self.dense
+            elif fronts < self.dense:
+                fronts = MORE_MERGED * fronts if MORE_MERGED * fronts < self.dense // 2 else 2 * self.dense
+            else:
+                fronts *= 2
         return np.inf
 
     def _needed(self, fronts: int) -> float:
@@ -312,8 +351,9 @@ class _Ladder:
         if estimate <= self.search.tolerance:
             return float(fronts)
         wanted = AIM * self.search.tolerance
-        n = fronts * np.sqrt(self.safety * self.plain[fronts] / wanted)
-        n = fronts * np.sqrt(self.safety * (1.0 + FEW / max(n, fronts)) * self.plain[fronts] / wanted)
+        error = self._safety(fronts) * self.plain[fronts]
+        n = fronts * np.sqrt(error / wanted)
+        n = fronts * np.sqrt(error * (1.0 + FEW / max(n, fronts)) / wanted)
         return float(np.ceil(max(n, MORE * fronts)))
 
     def work(self, fronts: float) -> float:
@@ -325,14 +365,14 @@ class _Ladder:
 
     def solve(self, needed: float) -> tuple[bool, float]:
         """Solve with about `needed` fronts; return True if the tolerance is met, and the number of fronts to try."""
-        search, fronts = self.search, int(min(needed, MOST_FRONTS))
+        search, fronts = self.search, int(min(needed, self.most))
         most = max(self.u)
         if fronts > APART[1] * most:  # half as many improve the prediction, and give the error later
             half = max(fronts // 2, int(APART[0] * most) + 1)
             if not self._run(half):
                 return False, np.inf
             needed = max(self._needed(half), APART[0] * half + 1.0)
-            fronts = int(min(needed, APART[1] * half, MOST_FRONTS))
+            fronts = int(min(needed, APART[1] * half, self.most))
         if not any(APART[0] * n <= fronts <= APART[1] * n for n in self.u):
             fronts = int(APART[0] * max(self.u)) + 1
         run = self.whole if fronts == self.first else self._run(fronts, last=True)
@@ -346,7 +386,7 @@ class _Ladder:
             reason, because = f"{fronts} fronts", search.failed[-1]
         if search.offer(run, reason, estimate, because):
             return True, fronts
-        return False, max(self._needed(fronts), MORE * fronts) if fronts < MOST_FRONTS else np.inf
+        return False, max(self._needed(fronts), MORE * fronts) if fronts < self.most else np.inf
 
 
 def _coarser(problem: Problem, grid: Grid) -> Grid:

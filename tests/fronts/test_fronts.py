@@ -13,7 +13,8 @@ import hjprofile as hj
 from hjprofile.problem.case_files import shipped_cases
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink
 from hjprofile.solvers.front_tracking import begin
-from hjprofile.solvers.fronts.front_data import FAN_FRONT, FrontData, cut_into_fronts
+from hjprofile.solvers.fronts.fans import FAN_FRONT
+from hjprofile.solvers.fronts.front_data import FrontData, cut_into_fronts
 from hjprofile.solvers.fronts.front_tracker import SUBLINEAR, FrontTracker
 from hjprofile.solvers.fronts.kernels.exact_fronts import first_crossing, narrowed
 from hjprofile.solvers.fronts.kernels.front_state import Sides

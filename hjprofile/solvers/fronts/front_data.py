@@ -12,20 +12,27 @@ from hjprofile.problem import Problem
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.profiles import Kinks
 from hjprofile.solvers.data_resolution import Sample, apart, divided, fine_sample
+from hjprofile.solvers.fronts.fans import (
+    DENSE,
+    FRONTS_PER_JUMP,
+    JUMP,
+    NODES,
+    Limits,
+    duration,
+    fans,
+    graded_fans,
+    interpolated,
+    room,
+)
 from hjprofile.solvers.run import Array
 from hjprofile.solvers.stop import ROBUST_METHOD, Reason, Stop, Stopped
 
 FOLDS = 5000.0  # largest sum of |ln K| changes; the time of a run grows with its square, to 20 s
-FAN_FRONT = 0.25  # largest fall of ln R across one front; stronger ones, if q changes sign, approach q = -1
 FLAT = 1e-10  # largest |q| that counts as the neutral slope
-NODES = 33  # number of values of q along a fan, between which its fronts are interpolated
-SWALLOWED = 16.0  # largest width to which a fall opens, in distances to the nearest shock
 LEAST_RATE = 0.3  # smallest |I_x| as a fraction of |W_x| + |R_x|: if they cancel, pieces would be too long
-FEWEST_IN_FAN = 4  # smallest number of fronts in the fan of a stated jump
 PART = 1 / 32  # largest change between two intervals of the sample, as a fraction of the range of ln(1 + q)
 MARKS = 0.25  # largest number of marks, as a fraction of the fronts; of more, the weak ones are merged
 LARGEST = 0.15  # mean spacing of fronts that steps of a law of linear growth assume, in decay lengths R'(0)
-JUMP = 1e-12  # smallest jump of q at a break
 
 
 @dataclass
@@ -41,6 +48,7 @@ class FrontData:
         largest_f: the largest |f|.
         r0: R(0), r on the far left.
         W_crest: W at x = 0.
+        dense: number of jumps if there are many, with a graded fan at each; otherwise 0.
         sample: the profile on a fine sample, or None if the fronts are the data.
     """
 
@@ -53,6 +61,7 @@ class FrontData:
     largest_f: float
     r0: float
     W_crest: float
+    dense: int = 0
     sample: Sample | None = None
 
     @property
@@ -81,9 +90,9 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int, pieces: Pieces) 
     law, profile = problem.law, problem.profile
     breaks = profile.breaks(law)
     if isinstance(profile, Kinks):
-        cuts, sample, quantum = breaks[:, 0], None, 0.0
+        cuts, sample, quantum, limits = breaks[:, 0], None, 0.0, Limits()
     else:
-        cuts, sample, quantum, breaks = _placed(problem, left, fronts, breaks)
+        cuts, sample, quantum, breaks, limits = _placed(problem, left, fronts, breaks)
     area = quantum**2
     ends = np.append(cuts, 0.0)
     W = profile.W(ends, law)
@@ -109,7 +118,7 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int, pieces: Pieces) 
     levels = np.empty(0)
     if sample is not None:
         r_left = np.append(r0, I[:-1]) - W[:-1]
-        levels, fan = _levels(problem, sample, quantum, cuts, mean, breaks, r_left, r)
+        levels, fan = _levels(problem, sample, quantum, cuts, mean, breaks, limits, r_left, r)
         members = np.where(fan > 0, fan + 1, members)
     owner = np.repeat(np.arange(h.size), members)
     last = np.append(np.diff(owner) > 0, True)[: owner.size]
@@ -130,21 +139,16 @@ def cut_into_fronts(problem: Problem, left: float, fronts: int, pieces: Pieces) 
     if sample is None:
         area = -float(cuts[0]) * float(np.abs(jump).sum()) / fronts**2
     largest_f = float(np.abs(law.f(reached_q)).max())
-    data = FrontData(cuts[owner], jumps, label[owner] * last, flags, area, spacing, largest_f, r0, float(W[-1]), sample)
+    data = FrontData(
+        cuts[owner], jumps, label[owner] * last, flags, area, spacing, largest_f, r0, float(W[-1]), limits.dense, sample
+    )
     return data, table
 
 
-class _Fans(NamedTuple):
-    """Fans along which q falls: ln R and the cumulative need of fronts, shape (fans, NODES)."""
+def _placed(problem: Problem, left: float, fronts: int, breaks: Array) -> tuple[Array, Sample, float, Array, Limits]:
+    """Return the left ends of pieces, a fine sample, the need of a piece, the breaks that are cuts, and limits of fans.
 
-    level: Array
-    need: Array
-
-
-def _placed(problem: Problem, left: float, fronts: int, breaks: Array) -> tuple[Array, Sample, float, Array]:
-    """Return the left ends of pieces, a fine sample of the profile, the need of a piece, and the breaks that are cuts.
-
-    If more than the fraction MARKS of the fronts would be jumps, only the strongest jump of each piece is a cut, and
+    If there are more jumps than fronts, only the strongest jump of each piece is a cut, and
     the others are merged. W stays exact at the ends of pieces, and `compare_data` bounds the error between them.
     """
     start = problem.profile.start(tail=1e-14)
@@ -155,15 +159,19 @@ def _placed(problem: Problem, left: float, fronts: int, breaks: Array) -> tuple[
     if np.count_nonzero(inside) > MARKS * fronts:  # corners alone need no cut
         inside &= jumps
     marked = breaks[inside]
-    many = marked.shape[0] > MARKS * fronts
+    count = marked.shape[0]
+    dense = count > DENSE and FRONTS_PER_JUMP * count <= fronts
+    many = count > MARKS * fronts and not dense
+    limits = Limits.of(fronts, count) if dense else Limits()
     shocks = breaks[breaks[:, 2] > breaks[:, 1] + JUMP, 0]
     need = _need(problem, sample, np.empty(0) if many else breaks[jumps, 0], shocks)
     s = np.append(0.0, np.cumsum(need * np.diff(sample.x)))
     total = float(s[-1])
     if not many:
-        total += float(_fans(problem, sample, shocks, *breaks[breaks[:, 1] > breaks[:, 2] + JUMP].T).need[:, -1].sum())
+        falls = breaks[breaks[:, 1] > breaks[:, 2] + JUMP]
+        total += float(fans(problem, sample, shocks, *falls.T).need[:, -1].sum())
     if not total > 0.0:
-        return np.array([start]), sample, 0.0, breaks
+        return np.array([start]), sample, 0.0, breaks, limits
     s *= fronts / total
     if many:  # the strongest jump of each piece
         piece = np.floor(np.interp(marked[:, 0], sample.x, s)).astype(int)
@@ -182,7 +190,7 @@ def _placed(problem: Problem, left: float, fronts: int, breaks: Array) -> tuple[
     cuts = np.interp(divided(at, parts), s, sample.x)
     cuts[np.append(0, np.cumsum(parts))] = marks
     cuts = apart([cuts], start, 0.0)
-    return _folded(problem, cuts), sample, total / fronts, np.concatenate([at_start, marked])
+    return _folded(problem, cuts), sample, total / fronts, np.concatenate([at_start, marked]), limits
 
 
 def _need(problem: Problem, sample: Sample, jumps: Array, shocks: Array) -> Array:
@@ -200,8 +208,8 @@ def _need(problem: Problem, sample: Sample, jumps: Array, shocks: Array) -> Arra
         decay, change = 0.5 * (q[1:] + q[:-1]), np.diff(law.R(q)) / between
         rate = np.maximum(np.abs(decay + change), LEAST_RATE * (np.abs(decay) + np.abs(change)))
         parting = K * (np.diff(slope) / between - 0.5 * (f * slope)[1:] - 0.5 * (f * slope)[:-1])
-        duration = np.minimum(_duration(problem, x[1:-1], q[1:], K), _duration(problem, x[1:-1], q[:-1], K))
-        longer = 1.0 + np.minimum(np.maximum(parting, 0.0) * duration, _width(x[1:-1], shocks) / between)
+        lasts = np.minimum(duration(problem, x[1:-1], q[1:], K), duration(problem, x[1:-1], q[:-1], K))
+        longer = 1.0 + np.minimum(np.maximum(parting, 0.0) * lasts, room(x[1:-1], shocks) / between)
         node = np.sqrt(rate * longer)
     known = np.isfinite(node) & ~np.isin(x[1:-1], jumps)
     node = np.where(known, node, 0.0)
@@ -209,45 +217,14 @@ def _need(problem: Problem, sample: Sample, jumps: Array, shocks: Array) -> Arra
     return (np.append(0.0, node) + np.append(node, 0.0)) / np.maximum(count, 1.0)
 
 
-def _fans(problem: Problem, sample: Sample, shocks: Array, x: Array, before: Array, after: Array) -> _Fans:
-    """Return the fans at x, along q from `before` down to `after`."""
-    law = problem.law
-    part = np.linspace(0.0, 1.0, NODES)
-    q = np.expm1(np.log1p(before)[:, None] * (1.0 - part) + np.log1p(after)[:, None] * part)
-    K = np.exp(np.maximum(np.interp(x, sample.x, sample.ln_K), 0.0))[:, None]
-    R, duration = law.R(q), _duration(problem, x[:, None], q, K)
-    opening = np.maximum(K * np.diff(law.derivative(q)) * np.minimum(duration[:, 1:], duration[:, :-1]), 0.0)
-    opening *= np.minimum(1.0, _width(x, shocks)[:, None] / np.maximum(opening.sum(axis=1, keepdims=True), 1e-300))
-    need = np.cumsum(np.sqrt(np.maximum(-np.diff(R), 0.0) * opening), axis=1)
-    return _Fans(np.log(R), np.hstack([np.zeros((x.size, 1)), need]))
-
-
-def _width(x: Array, shocks: Array) -> Array:
-    """Return the largest width to which a fall at x opens, before it leaves or the nearest shock swallows it."""
-    at = np.searchsorted(shocks, x)
-    nearest = np.minimum(x - np.append(-np.inf, shocks)[at], np.append(shocks, np.inf)[at] - x)
-    return np.minimum(-x, SWALLOWED * nearest)
-
-
-def _duration(problem: Problem, x: Array, q: Array, K: Array) -> Array:
-    """Return the time of nearly constant motion of a characteristic: until the end, its exit, or a change of q.
-
-    A negative q rises by q' = K f² in the time |q|/q'.
-    """
-    law = problem.law
-    with np.errstate(all="ignore"):
-        rise = np.where(q < 0.0, law.R(q) / (K * -law.f(q)), np.inf)
-    return np.minimum(np.minimum(problem.end, -x / (K * law.derivative(q))), rise)
-
-
 def _levels(
-    problem: Problem, sample: Sample, quantum: float, cuts: Array, mean: Array, breaks: Array,
+    problem: Problem, sample: Sample, quantum: float, cuts: Array, mean: Array, breaks: Array, limits: Limits,
     r_left: Array, r_right: Array,
 ) -> tuple[Array, Array]:  # fmt: skip
     """Return the levels of ln r in fans, in one array, and the number of levels at each cut; 0 if there is no fan.
 
     A fall that needs more than one front is divided, whether or not the profile states a jump there. No front of it is
-    stronger than FAN.
+    stronger than the limit.
     """
     falls = breaks[breaks[:, 1] > breaks[:, 2] + JUMP]
     at = np.searchsorted(cuts, falls[:, 0])
@@ -256,33 +233,46 @@ def _levels(
     stated = np.zeros(cuts.size, dtype=bool)
     stated[at] = True
     steep = np.flatnonzero(stated | (r_left > r_right) & (before > after))
-    shocks = breaks[breaks[:, 2] > breaks[:, 1] + JUMP, 0]
-    fans = _fans(problem, sample, shocks, cuts[steep], before[steep], after[steep])
-    level = fans.level
+    if limits.dense:
+        fan = graded_fans(problem, float(cuts[0]), limits, cuts[steep], before[steep], after[steep])
+    else:
+        shocks = breaks[breaks[:, 2] > breaks[:, 1] + JUMP, 0]
+        fan = fans(problem, sample, shocks, cuts[steep], before[steep], after[steep])
+    level = fan.level
     # the values of r on both sides of a front differ from R of the mean slopes
     upper, lower = np.log(r_left[steep]), np.log(r_right[steep])
     upper, lower = np.where(stated[steep], level[:, 0], upper), np.where(stated[steep], level[:, -1], lower)
     part = (level - level[:, :1]) / np.minimum(level[:, -1:] - level[:, :1], -1e-300)
     level = upper[:, None] + (lower - upper)[:, None] * part
-    s = fans.need / quantum if quantum > 0.0 else np.zeros_like(level)
-    count = np.maximum(np.round(s[:, -1]), np.ceil((upper - lower) / FAN_FRONT))
-    count = np.where(stated[steep], np.maximum(count, FEWEST_IN_FAN), count)
+    s = fan.need / (1.0 if limits.dense else quantum) if quantum > 0.0 else np.zeros_like(level)
+    count = np.maximum(np.round(s[:, -1]), np.ceil((upper - lower) / limits.strongest))
+    count = np.where(stated[steep], np.maximum(count, limits.fewest), count).astype(np.int64)
     # uniform in ln r if the needs are small
     s += (1e-3 * s[:, -1:] + 1e-12) * np.linspace(0.0, 1.0, NODES)
-    number = np.zeros(cuts.size, dtype=np.int64)
-    found = []
-    for k in np.flatnonzero(count > 1).tolist():
-        n = int(count[k])
-        number[steep[k]] = n
-        edges = np.interp(np.arange(1, n) / n * s[k, -1], s[k], level[k])
-        edges = np.concatenate([[upper[k]], edges, [lower[k]]])
-        most = np.max(-np.diff(edges))
-        if most > FAN_FRONT:
-            extra = np.maximum(np.ceil(-np.diff(edges) / FAN_FRONT), 1).astype(int)
-            edges = divided(edges, extra)
-            number[steep[k]] = edges.size - 1
-        found.append(0.5 * (edges[1:] + edges[:-1]))
-    return np.concatenate(found) if found else np.empty(0), number
+    return _divided_fans(level, s, count, limits.strongest, steep, cuts.size)
+
+
+def _divided_fans(
+    level: Array, s: Array, count: Array, strongest: float, where: Array, cuts: int
+) -> tuple[Array, Array]:
+    """Return the levels of fronts at equal steps of s, and their number at each cut, `where` the fans are."""
+    opened = np.flatnonzero(count > 1)
+    if not opened.size:
+        return np.empty(0), np.zeros(cuts, dtype=np.int64)
+    count = count[opened]
+    row = np.repeat(opened, count + 1)
+    place = np.arange(row.size) - np.repeat(np.cumsum(count + 1) - count - 1, count + 1)
+    n = np.repeat(count, count + 1)
+    edges = interpolated(place / n * s[row, -1], row, s, level)
+    edges[place == 0], edges[place == n] = level[opened, 0], level[opened, -1]
+    inner = place[:-1] < n[:-1]  # from an edge to the next one of the same fan
+    with np.errstate(invalid="ignore"):
+        parts = np.where(inner, np.maximum(np.ceil(-np.diff(edges) / strongest), 1.0), 1.0).astype(np.int64)
+    edges = divided(edges, parts)
+    within = np.repeat(inner, parts)
+    number = np.zeros(cuts, dtype=np.int64)
+    np.add.at(number, where[row[:-1]], parts * inner)
+    return 0.5 * (edges[1:] + edges[:-1])[within], number
 
 
 def _folded(problem: Problem, cuts: Array) -> Array:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.solvers.fronts.kernels.front_merging import Stack, merge, note_events
-from hjprofile.solvers.fronts.kernels.front_state import Sides, crest_flux, crest_front, speeds
+from hjprofile.solvers.fronts.kernels.front_state import Fronts, Medium, Sides, crest_flux, crest_front, speeds
 from hjprofile.solvers.kernels import compiled
 from hjprofile.solvers.kernels.journal import CREST_LOWERING, STEPS, TOE_GAIN
 from hjprofile.solvers.kernels.law import law_q_f
@@ -16,6 +16,7 @@ REPEAT_ABOVE = 1.2  # relative to the allowed error; above it a step is repeated
 MAX_STEP_RATIO = 2.0  # largest ratio of a step to the previous one
 CROSSING_FACTOR = 0.35  # factor of the estimate by fronts that have crossed; measured: the estimate is too large
 MOST_FOLDS = 2.0  # lengths 1/|f|, over which K changes by a factor e, that a front may cross in a step
+STILL_AT_FIRST = 1e-3  # of `still`, for fronts that are left at rest: they remain there until K is 1000 times larger
 MAX_SHORT_STEPS = 10_000  # steps below STEP_FLOOR before a run fails; the first ones can be shorter than later ones
 
 
@@ -27,6 +28,7 @@ class Control(NamedTuple):
         allowed: error of W per unit of time that the motion between events and late merges may add.
         longest: longest step.
         saved: longest time for which unused error is saved for later steps.
+        still: fronts that would move less than this until the next saved time are left at rest.
         step: the next step and the time for which error is saved, shape (2,).
     """
 
@@ -34,6 +36,7 @@ class Control(NamedTuple):
     allowed: float
     longest: float
     saved: float
+    still: float
     step: np.ndarray
 
 
@@ -55,34 +58,94 @@ class Workspace(NamedTuple):
     max_K_f: np.ndarray
 
 
+class Active(NamedTuple):
+    """The active part of the slope: the fronts that move until the next saved time.
+
+    Attributes:
+        first: index of its first front.
+        r_left: r on the left of that front, which is constant because the front does not move.
+        toe: K at the toe, relative to K at that front.
+        most_K: value of K at that front above which fronts on its left move.
+    """
+
+    first: int
+    r_left: float
+    toe: float
+    most_K: float
+
+
 @compiled
 def advance(fronts, n, t, end, control, medium, work, journal):
     """Advance the first n fronts to `end` by classical Runge-Kutta steps; merge after each and remove fronts at x > 0.
 
+    Only the active part of the slope is advanced, until K on its left has increased so much that more fronts move.
+    Return n, and True if `end` is reached: False after MAX_SHORT_STEPS steps below STEP_FLOOR of the time.
+    """
+    x, jump = fronts.x, fronts.jump
+    floor, short = STEP_FLOOR * (end - t), 0
+    while t < end and n > 0 and short <= MAX_SHORT_STEPS:
+        speeds(x, jump, n, crest_front(x, n), medium, work.sides, work.rate[0])
+        active = active_part(n, control.still / (end - t), medium, work)
+        first = active.first
+        part = Fronts(x[first:], jump[first:], fronts.label[first:], fronts.first_merge[first:], fronts.smooth[first:])
+        m, t, short = advance_part(part, n - first, (t, end, floor), short, control, active, medium, work, journal)
+        n = first + m
+    return n, t >= end or n == 0
+
+
+@compiled
+def active_part(n, slowest, medium, work):
+    """Return the active part of n fronts, after a sweep with their speeds in rate[0]. Others move below `slowest`.
+
+    K falls by many orders of magnitude along a slope with hollows, and grains do not reach its lower part until the
+    hollows above are full. The values of r left of the first moving front are constant, and K changes in proportion.
+    """
+    sides, speed = work.sides, work.rate[0]
+    first, largest = 0, 0.0
+    for j in range(n - 1):
+        rate = max(speed[j], sides.K[j] * abs(law_q_f(sides.r_right[j], medium.law)[1]))
+        if not max(rate, largest) <= STILL_AT_FIRST * slowest:
+            break
+        first, largest = j, max(rate, largest)
+    if first == 0:
+        return Active(0, medium.r0, 1.0, np.inf)
+    K = sides.K[first]
+    if largest > 0.0:
+        return Active(first, sides.r_left[first], sides.K[0] / K, K * slowest / largest)
+    return Active(first, sides.r_left[first], 0.0, STILL_AT_FIRST * slowest)
+
+
+@compiled
+def advance_part(fronts, n, times, short, control, active, medium, work, journal):
+    """Advance the first n fronts of the active part to `end`, or until fronts on its left move.
+
+    `times` holds the present time, `end`, and the length below which a step counts as short; `short` is their number.
     `control` determines the length of a step from its error, which is the sum of `motion_error`, `crossing_error` of
-    fronts that have crossed, and `exit_error`. Return n, and True if `end` is reached: False after MAX_SHORT_STEPS
-    steps below STEP_FLOOR of the time.
+    fronts that have crossed, and `exit_error`. Return n, the time and the number of short steps.
     """
     x, jump, sides, rate, new = fronts.x, fronts.jump, work.sides, work.rate, work.new
     law, r0 = medium.law, medium.r0
-    floor, short = STEP_FLOOR * (end - t), 0
+    inside = Medium(active.r_left, medium.near, law)
+    t, end, floor = times
     fresh = False  # rate[0] and the sweep are those of x
     while t < end and n > 0:
         if not fresh:
-            speeds(x, jump, n, crest_front(x, n), medium, sides, rate[0])
-        start = sides.K[0] - 1.0, crest_flux(x, crest_front(x, n), sides.r_right, law)
+            speeds(x, jump, n, crest_front(x, n), inside, sides, rate[0])
+        if sides.K[0] > active.most_K:
+            break
+        start = active.toe * sides.K[0] - 1.0, crest_flux(x, crest_front(x, n), sides.r_right, law)
         largest_K_f = fit_folds(n, control, law, work)
         while True:
             dt = control.step[0]
             if not dt > floor:  # K is unbounded below a slope with q near -1
                 short += 1
                 if short > MAX_SHORT_STEPS or not dt > 0.0:
-                    return n, False
+                    return n, t, MAX_SHORT_STEPS + 1
             if dt >= end - t:
                 dt = end - t
             elif 2.0 * dt > end - t:
                 dt = 0.5 * (end - t)
-            toe_gain, crest_lowering = runge_kutta(x, jump, n, dt, start, medium, work)
+            toe_gain, crest_lowering = runge_kutta(x, jump, n, dt, start, active.toe, inside, work)
             error = motion_error(jump, n, rate[3], rate[4]) * dt / 6.0
             error += crossing_error(new, jump, n, sides, work.max_K_f, law) * CROSSING_FACTOR / r0**2 * dt
             error += exit_error(new, rate[0], n, sides, law) * largest_K_f * r0 * dt * dt
@@ -98,7 +161,7 @@ def advance(fronts, n, t, end, control, medium, work, journal):
         n = merge(fronts, n, t, law, sides, rate[0], work.stack, journal)
         fresh = n == before
         n = note_events(fronts, n, t, control.strong, rate[0], journal)
-    return n, True
+    return n, t, short
 
 
 @compiled
@@ -115,10 +178,11 @@ def fit_folds(n, control, law, work):
 
 
 @compiled
-def runge_kutta(x, jump, n, dt, start, medium, work):
+def runge_kutta(x, jump, n, dt, start, toe, medium, work):
     """Fill the positions after a step and the rates of its stages; return six times the means of K_left - 1 and F(0).
 
-    `start` holds these two at x, and rate[0] the speeds there. On return the sides are those at the end of the step.
+    `start` holds these two at x, and rate[0] the speeds there. K_left is `toe` times K at the first front.
+    On return the sides are those at the end of the step.
     """
     sides, rate, trial, new = work.sides, work.rate, work.trial, work.new
     toe_gain, crest_lowering = start
@@ -128,7 +192,7 @@ def runge_kutta(x, jump, n, dt, start, medium, work):
             trial[j] = x[j] + part * rate[stage - 1, j]
         speeds(trial, jump, n, crest_front(trial, n), medium, sides, rate[stage])
         weight = 1.0 if stage == 3 else 2.0
-        toe_gain += weight * (sides.K[0] - 1.0)
+        toe_gain += weight * (toe * sides.K[0] - 1.0)
         crest_lowering += weight * crest_flux(trial, crest_front(trial, n), sides.r_right, medium.law)
     for j in range(n):
         new[j] = x[j] + dt / 6.0 * (rate[0, j] + 2.0 * (rate[1, j] + rate[2, j]) + rate[3, j])
