@@ -99,7 +99,8 @@ def test_columns_in_the_unit_of_the_survey(scene, in_tmp):
             assert float(row[f"{name}_survey"]) == pytest.approx(length**2 * slope * float(row[name]), rel=1e-13)
         for name in ("crest_lowering", "largest_lowering", "largest_rise"):
             assert float(row[f"{name}_survey"]) == pytest.approx(length * slope * float(row[name]), rel=1e-13)
-        assert row["error_estimate_survey"] == row["error_estimate"] == ""  # this method provides none
+        error = float(row["error_estimate"])
+        assert error > 0.0 and float(row["error_estimate_survey"]) == pytest.approx(length * slope * error, rel=1e-13)
         assert float(row["kink_x_survey"]) == pytest.approx(X_TOP + length * float(row["kink_x"]), rel=1e-13)
     with xarray.open_dataset(in_tmp / "out" / "sweep.nc") as data:
         assert np.array_equal(data.toe_outflow_survey.values, result.quantity("toe_outflow_survey"))

@@ -32,6 +32,7 @@ FLAT = 1e-10  # largest |q| that counts as the neutral slope
 LEAST_RATE = 0.3  # smallest |I_x| as a fraction of |W_x| + |R_x|: if they cancel, pieces would be too long
 PART = 1 / 32  # largest change between two intervals of the sample, as a fraction of the range of ln(1 + q)
 MARKS = 0.25  # largest number of marks, as a fraction of the fronts; of more, the weak ones are merged
+LEVEL = 1e-14  # smallest fall of ln R whose levels differ by more than rounding
 LARGEST = 0.15  # mean spacing of fronts that steps of a law of linear growth assume, in decay lengths R'(0)
 
 
@@ -217,6 +218,7 @@ def _need(problem: Problem, sample: Sample, jumps: Array, shocks: Array) -> Arra
     return (np.append(0.0, node) + np.append(node, 0.0)) / np.maximum(count, 1.0)
 
 
+@np.errstate(invalid="ignore")  # a piece too near q = -1 has no r; the run reports it
 def _levels(
     problem: Problem, sample: Sample, quantum: float, cuts: Array, mean: Array, breaks: Array, limits: Limits,
     r_left: Array, r_right: Array,
@@ -242,7 +244,9 @@ def _levels(
     # the values of r on both sides of a front differ from R of the mean slopes
     upper, lower = np.log(r_left[steep]), np.log(r_right[steep])
     upper, lower = np.where(stated[steep], level[:, 0], upper), np.where(stated[steep], level[:, -1], lower)
-    part = (level - level[:, :1]) / np.minimum(level[:, -1:] - level[:, :1], -1e-300)
+    drop = level[:, :1] - level[:, -1:]
+    part = np.where(drop > LEVEL, (level[:, :1] - level) / np.maximum(drop, LEVEL), np.linspace(0.0, 1.0, NODES))
+    part = np.clip(part, 0.0, 1.0)  # graded levels have rounding of their own
     level = upper[:, None] + (lower - upper)[:, None] * part
     s = fan.need / (1.0 if limits.dense else quantum) if quantum > 0.0 else np.zeros_like(level)
     count = np.maximum(np.round(s[:, -1]), np.ceil((upper - lower) / limits.strongest))
