@@ -25,6 +25,8 @@ from hjprofile.solvers.run import Run
 from hjprofile.solvers.select import EXACT_FRONTS_ERROR, FRONT_STEP, READ_FRONTS, TABLE_STEP, usual_work
 
 CELL_STEP = 5e-9  # measured seconds of a time step of one cell, with monitors: 2e-9 to 2e-8
+# Measured seconds for one front of the data, some 300 values of the law; the second for a law of single numbers
+CUT, CUT_SCALARS = 5e-6, 1e-4
 LEAST_WORK = 0.3  # seconds, by count, that an estimate may cost; more only if the run itself costs more
 FEWEST, MOST = 200, 480  # fronts of the first reference
 PER_BREAK = 8  # of these for each corner or jump of the profile
@@ -279,7 +281,8 @@ class _Search:
         """Return the seconds, by count, of a run of so many fronts, from the steps of another."""
         step = FRONT_STEP if self.problem.law.name == "rational" else TABLE_STEP
         steps = fronts if other is None else 2 * other.steps
-        return step * fronts * (self.problem.kept + steps) + READ_FRONTS * self.problem.kept
+        cut = CUT_SCALARS if self.problem.law.name == "python" else CUT
+        return fronts * (cut + step * (self.problem.kept + steps)) + READ_FRONTS * self.problem.kept
 
     def _characteristics(self) -> bool:
         """Compare with characteristics if the remaining work permits; return True if they reach the end."""

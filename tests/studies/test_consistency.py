@@ -337,7 +337,10 @@ FAULTY_EXPONENTS = {
 }
 
 
-@pytest.mark.parametrize("fault", FAULTY_EXPONENTS)
+@pytest.mark.parametrize(
+    "fault",
+    ["wrong sign", "shifted", pytest.param("without dx", marks=pytest.mark.slow)],  # the last one takes 13 s
+)
 def test_a_fault_in_the_own_method_shows_where_the_grids_resolve_nothing(fault, rough_survey, monkeypatch):
     """ln K of weno5, which no other comparison uses."""
     monkeypatch.setattr(consistency, "CONVERGING", ("godunov",))
