@@ -171,7 +171,7 @@ def _split(text: str) -> tuple[list[Row], str]:
         return _rows(lines[1:], stated[1]), stated[1]
     sample = lines if len(lines) <= 2 * SAMPLE else lines[:SAMPLE] + lines[-SAMPLE:]
     best, found = (0, 0.0), ","
-    # one that is in nearly all lines is the separator; commas and blanks beside it belong to numbers and remarks
+    # one that is in nearly all lines is the separator; commas and blanks then belong to numbers and remarks
     strong = [mark for mark in STRONG if sum(mark in line for _, line in sample) > NEARLY_ALL * len(sample)]
     for separator in strong or SEPARATORS:
         rows = _rows(sample, separator)
