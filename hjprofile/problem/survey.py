@@ -12,11 +12,11 @@ import numpy as np
 from hjprofile.errors import InputError
 from hjprofile.problem.flank import Flank, one_flank, resampled, rising
 from hjprofile.problem.heights import rounding_of, scatter_of
-from hjprofile.problem.kinds import COLUMNS, LIST, NUMBER, NUMBERS, POSITIVE, TEXT
+from hjprofile.problem.kinds import COLUMNS, LIST, NUMBER, NUMBERS, POSITIVE, TEXT, Kind
 from hjprofile.problem.paths import located
 from hjprofile.problem.profile_base import Profile, kind
 from hjprofile.problem.profiles import Points
-from hjprofile.problem.ranges import RANGES, Array, as_number, as_path, number, shown
+from hjprofile.problem.ranges import RANGES, Array, as_path, number, shown
 from hjprofile.problem.schema import REQUIRED
 from hjprofile.problem.survey_file import Measured, from_arrays, read_points, unit_named
 from hjprofile.problem.units import SurveyLine, Units
@@ -38,6 +38,10 @@ LEAST_SMOOTHING, MOST_SMOOTHING = (
 ABOUT = "a-survey"
 UNITS_DIFFER = "feet-degrees-and-mixed-units"
 
+OPTIONS: dict[str, Kind] = {
+    "from": NUMBER, "to": NUMBER, "resample": POSITIVE, "repair_limit": POSITIVE, "columns": COLUMNS, "nodata": NUMBERS,
+    "unit": TEXT,
+}  # fmt: skip
 # How the points of a survey are read and prepared
 Reading = TypedDict(
     "Reading",
@@ -218,8 +222,8 @@ def read_survey(
 
 def _points(file: Any, x: Any, height: Any, base: Path | None, reading: Reading) -> tuple[str, Measured]:
     """Return the points of a file or of two arrays, and their name in messages. Raises InputError."""
-    nodata = np.atleast_1d(np.array([] if reading.get("nodata") is None else reading.get("nodata"), dtype=float))
-    unit = reading.get("unit")
+    unit, missing = reading.get("unit"), reading.get("nodata")
+    nodata = np.atleast_1d(np.array([] if missing is None else missing, dtype=float))
     if file is None and x is None and height is None:
         raise InputError("file is missing; it must be a file of points; in its place x and height may be given", ABOUT)
     if file is not None and not (x is None and height is None):
@@ -250,16 +254,12 @@ def _check_options(repair: Any, reading: Reading) -> None:
     ):
         if value is not None and not (isinstance(value, str) and value in allowed):
             faults.append(f"{name} = {shown(value)} is not known; allowed is {' or '.join(map(repr, allowed))}")
-    for name in ("from", "to", "resample", "repair_limit"):
+    for name, wanted in OPTIONS.items():
         value = reading.get(name)
-        least = -np.inf if name in ("from", "to") else 0.0
-        if value is not None and not (np.isfinite(as_number(value)) and as_number(value) > least):
-            kind_of = "a finite number" if least < 0.0 else "a positive number"
-            faults.append(f"{name} = {shown(value)} must be {kind_of}")
-    for name, wanted in (("columns", COLUMNS), ("nodata", NUMBERS), ("unit", TEXT)):
-        value = reading.get(name)
+        with_lists = list(value) if isinstance(value, (tuple, np.ndarray)) else value
         try:
-            wanted.read(list(value) if isinstance(value, (tuple, np.ndarray)) else value) if value is not None else None
+            if value is not None:
+                wanted.read(with_lists)
         except (TypeError, ValueError):
             faults.append(f"{name} = {shown(value)} must be {wanted.words}")
     if faults:

@@ -85,11 +85,10 @@ def test_the_repaired_survey_is_the_nearest_rising_one(tmp_path_factory, rows, c
     np.testing.assert_allclose(repaired, nearest, rtol=0, atol=1e-8)
     assert np.all(np.diff(repaired) >= least * np.diff(x) * (1 - 1e-9) - 1e-12)
 
-    # as a survey: the same heights on a ramp that is steep enough for the repair to be a small one
-    ramp = 300.0 * x / x[-1]
-    critical *= 300.0 / x[-1]
-    least = REPAIR_SLOPE * critical
-    height, repaired = height + ramp, nearest_rising(x, height + ramp, least)
+    # as a survey: the same heights between a distant toe and crest, which give its direction and its mean slope
+    x = np.concatenate([[x[0] - 100.0], x, [x[-1] + 100.0]])
+    height = np.concatenate([[-300.0], height, [300.0]])
+    repaired = nearest_rising(x, height, least)
     path = write(tmp_path_factory.mktemp("survey"), list(zip(x.tolist(), height.tolist(), strict=True)))
     length = 3.0
     slope = survey(path, critical, length, repair="isotonic")
