@@ -16,7 +16,8 @@ HOME = Path(hjprofile.__file__).parent
 WINGS = ("grids", "fronts", "characteristics", "layer", "vertical_steps")
 # from the bottom up
 ROOMS = (
-    "errors", "error_page", "interrupts", "files", "problem", "solvers.kernels", "solvers.stop", "solvers.run",
+    "errors", "error_page", "interrupts", "files", "problem", "solvers.kernels", "solvers.stop", "solvers.norms",
+    "solvers.run",
     "solvers", "studies", "output", "cli",
 )  # fmt: skip
 KERNELS = ("solvers.kernels", *(f"solvers.{wing}.kernels" for wing in WINGS))
@@ -160,7 +161,7 @@ def test_the_walk_from_the_command_to_the_kernel_is_short():
         assert any(below in own_imports(tree(m)) for m in READING_PATH[: READING_PATH.index(below)]), (above, below)
 
 
-EVERYBODYS = {"run", "stop", "kernels"}  # parts of solvers/ that the page leaves out
+EVERYBODYS = {"run", "norms", "stop", "kernels"}  # parts of solvers/ that the page leaves out
 
 
 def part_of(module):

@@ -20,11 +20,11 @@ import hjprofile
 from hjprofile.errors import InputError
 from hjprofile.output.faults import fault_of
 from hjprofile.output.folder import ResultFolder, owner_of_run
-from hjprofile.output.norms import norms
 from hjprofile.output.survey_columns import names_with_survey_columns, with_survey_columns
 from hjprofile.problem.ranges import as_path, instance
 from hjprofile.problem.stored import read_profile
 from hjprofile.problem.units import SurveyLine, Units
+from hjprofile.solvers.norms import Norms
 from hjprofile.solvers.run import COORDINATES, Event, KinkRecord, Run, Verdict, VerticalStep
 
 _Row = TypeVar("_Row", KinkRecord, Event, VerticalStep)
@@ -32,7 +32,8 @@ _Row = TypeVar("_Row", KinkRecord, Event, VerticalStep)
 VTK_FOLDER = "vtk"
 STEPS_FILE = "vertical_steps.csv"
 SURVEY_FILE = "survey.csv"
-PICTURES = "profile", "diagram", "factor"
+NORMS_FILE = "norms.csv"
+PICTURES = "profile", "diagram", "factor", "norms"
 LONGEST_REASON = 200  # characters of an exception in a warning
 # files that not every run writes
 _OF_A_RUN = (
@@ -54,8 +55,7 @@ def write_run(
     """Write the result folder of a run.
 
     Files of another case or of an earlier run in the folder are removed. If a picture or the VTK files cannot be made,
-    the
-    data are complete and a UserWarning is issued.
+    the data are complete and a UserWarning is issued.
 
     Args:
         run: the run.
@@ -77,7 +77,7 @@ def write_run(
     >>> run = hj.solve_hj(problem, hj.Grid(left=-4.0, cells=40))
     >>> files = hj.write_run(run, tempfile.mkdtemp(), vtk=False, plots=False)
     >>> sorted(file.name for file in files)
-    ['events.csv', 'kinks.csv', 'profile.nc', 'summary.json']
+    ['events.csv', 'kinks.csv', 'norms.csv', 'profile.nc', 'summary.json']
     """
     instance("run", run, Run)
     place = ResultFolder(as_path("folder", folder), owner_of_run(run.case)).open()
@@ -103,6 +103,7 @@ def write_results(
         "kinks.csv": to_csv(*with_survey_columns(KinkRecord._fields, run.kinks, run.units)),
         "events.csv": to_csv(*with_survey_columns(Event._fields, run.events, run.units)),
     }
+    data[NORMS_FILE] = to_csv(*with_survey_columns(Norms._fields, run.norms.rows(), run.units))
     if run.vertical_steps is not None:
         data[STEPS_FILE] = to_csv(*with_survey_columns(VerticalStep._fields, run.vertical_steps, run.units))
     if run.surveyed is not None:
@@ -215,8 +216,8 @@ def summary(run: Run) -> dict[str, Any]:
         "cell_updates_per_second": updates,
         "error_estimate": run.error_estimate,
         "supplied": float(run.time[-1]),
-        "norms_start": norms(run, 0)._asdict(),
-        "norms_end": norms(run, -1)._asdict(),
+        "norms_start": _norms_at(run, 0),
+        "norms_end": _norms_at(run, -1),
         "kinks_at_end": len(run.kinks_at(-1)),
         "eroded_volume": run.eroded_volume,
         "eroded_volume_error": run.eroded_volume_error,
@@ -238,6 +239,12 @@ def summary(run: Run) -> dict[str, Any]:
     if run.account:
         content["account"] = run.account
     return content
+
+
+def _norms_at(run: Run, index: int) -> dict[str, float]:
+    """Return the norms of q at a saved time."""
+    columns = run.norms
+    return {name: float(values[index]) for name, values in zip(("l1", "tv", "inf", "sup"), columns[1:5], strict=True)}
 
 
 def to_json(content: Any, ascii_only: bool = False) -> str:

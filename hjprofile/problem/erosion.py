@@ -122,7 +122,9 @@ class ErosionLaw:
         q = np.asarray(q, dtype=float)
         near = np.abs(q) <= NEAR_ZERO
         away = np.where(near, 1.0, q)
-        return np.where(near, 1.0 / self._f_over_q(np.clip(q, -NEAR_ZERO, NEAR_ZERO)), away / self.f(away))
+        R = np.asarray(away / self.f(away))
+        R[near] = 1.0 / self._f_over_q(q[near])
+        return R
 
     def R_derivative(self, q) -> Array:
         """Return R'(q) = (f - q f')/f² > 0."""

@@ -86,8 +86,9 @@ def track(
     witness: Witness | None = None,
 ) -> Run:  # fmt: skip
     """Return the run of fronts after `begin`, on the half line and in units of the law."""
-    tracker = begun.tracker
-    watch = SnapshotBounds(grid, begun.data.W_crest, tracker.volume(), _allowances(begun), tracker.least())
+    tracker, data = begun.tracker, begun.data
+    variation_I = float(np.abs(data.jump).sum())
+    watch = SnapshotBounds(grid, data.W_crest, tracker.volume(), _allowances(begun), tracker.least(), variation_I)
     tracker.advance(0.0)  # compiles the loops
     snapshots = walk(tracker, problem, grid, watch, progress, witness)
     if not snapshots.states:

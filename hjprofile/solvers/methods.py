@@ -26,6 +26,7 @@ from hjprofile.solvers.grids.bounds_monitor import (
     STEEP,
     STEEP_SECOND_ORDER,
     TELESCOPING,
+    UNLIMITED,
     WITH_LAYER,
 )
 from hjprofile.solvers.grids.conservation import FirstOrder, HighOrderConservation, SecondOrder
@@ -135,9 +136,10 @@ def _first_order() -> Iterator[Method]:
 def _high_order() -> Iterator[Method]:
     """Yield the methods of higher order, two for each order."""
     for name, order in ORDERS.items():
-        high = Setup(_for_height(HighOrderHamiltonJacobi, name), HIGHER_ORDER)
+        guarantees = UNLIMITED if np.isnan(order.cfl_proved) else HIGHER_ORDER
+        high = Setup(_for_height(HighOrderHamiltonJacobi, name), guarantees)
         yield Method(name, Form.HEIGHT, ON_GRIDS, high, cfl_proved=order.cfl_proved)
-        high = Setup(_for_slope(HighOrderConservation, name), HIGHER_ORDER)
+        high = Setup(_for_slope(HighOrderConservation, name), guarantees)
         yield Method(f"conservative-{name}", Form.SLOPE, ON_GRIDS, high, carries=name, cfl_proved=order.cfl_proved)
 
 

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
 import hjprofile
-from hjprofile.problem.case import to_toml
+from hjprofile.problem.case import law_from, to_toml
+from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.ranges import read_only
 from hjprofile.problem.units import SurveyLine, Units
+from hjprofile.solvers.norms import Limit, Norms, States, limits, norms
 from hjprofile.solvers.stop import ROBUST_METHOD, Place, Reason, Stop, Time
 
 if TYPE_CHECKING:
@@ -245,12 +248,41 @@ class Run:
     account: str = ""
     cautions: Sequence[str] = ()
     stop: Stop | None = None
+    law: ErosionLaw | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if self.stop is not None:
             object.__setattr__(self, "status", str(self.stop))
         for name in FIELDS:
             object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state for another process: a law is a function, which cannot be sent."""
+        state = self.__dict__ | {"norms": self.norms, "norm_limits": self.norm_limits, "law": None}
+        return {name: value for name, value in state.items() if name != "_known_law"}
+
+    @cached_property
+    def norms(self) -> Norms:
+        """The norms of q, F and I at the saved times."""
+        return norms(self._states, self._known_law)
+
+    @cached_property
+    def norm_limits(self) -> Mapping[str, Sequence[Limit]]:
+        """The bounds of the norms by the theory: column of `Norms` -> bounds at the saved times."""
+        return limits(self.norms, self._states, self._known_law, self.case)
+
+    @cached_property
+    def _known_law(self) -> ErosionLaw | None:
+        """The law, or None if it is in a Python file, which is not part of a stored run."""
+        table = self.case["erosion"]
+        return self.law or (None if table["law"] == "python" else law_from(table))
+
+    @property
+    def _states(self) -> States:
+        profile = self.case.get("profile", {})
+        inflow = profile.get("kind") == "steady" and "kink" not in profile
+        dx = float(np.ptp(self.x)) / self.cells
+        return States(self.time, dx, self.u - self.x, self.q, self.K, inflow)
 
     @property
     def done(self) -> bool:

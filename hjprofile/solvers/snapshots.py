@@ -13,7 +13,7 @@ from hjprofile.problem.case import resolved_case
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.kernels.journal import CREST_LOWERING, TOE_GAIN
 from hjprofile.solvers.run import Array, Event, KinkRecord, Run, VerticalStep, in_order
-from hjprofile.solvers.snapshot_bounds import SnapshotBounds
+from hjprofile.solvers.snapshot_bounds import SnapshotBounds, uniform_tv
 from hjprofile.solvers.stop import Stop, Stopped
 from hjprofile.solvers.weak_kinks import without_weak_kinks
 
@@ -145,6 +145,9 @@ def assembled(
 ) -> Run:
     """Return the run of a walk."""
     W, K = snapshots.rows(grid)
+    times, bounds = problem.times[: len(W)], watch.bounds
+    if not (problem.profile.inflow or problem.law.grows_linearly):
+        bounds = bounds | {"uniform_tv": uniform_tv(problem.law, grid, times, W, watch.variation_I)}
     kinks, events = without_weak_kinks(
         snapshots.kinks, in_order(solution.events, solution.moment), problem.profile.rounding
     )
@@ -152,7 +155,7 @@ def assembled(
         title=problem.title,
         method=method,
         case=resolved_case(problem, grid, method),
-        time=problem.times[: len(W)],
+        time=times,
         x=grid.nodes,
         x_cell=grid.centres,
         u=grid.nodes + W + float(problem.profile.W(grid.nodes[:1], problem.law)[0]),
@@ -164,7 +167,7 @@ def assembled(
         kinks=kinks,
         events=events,
         vertical_steps=snapshots.vertical_steps,
-        bounds=watch.bounds,
+        bounds=bounds,
         eroded_volume=watch.eroded_volume,
         toe_outflow=watch.toe_outflow,
         crest_lowering=float(solution.totals[CREST_LOWERING]),
@@ -172,4 +175,5 @@ def assembled(
         units=problem.profile.units,
         surveyed=problem.profile.surveyed,
         account=problem.profile.account,
+        law=problem.law,
     )

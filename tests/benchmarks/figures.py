@@ -20,7 +20,7 @@ HERE = Path(__file__).resolve().parent
 MAKES: dict[str, tuple[int, tuple[str, ...]]] = {
     "pictures.py": (18, (
         "hillslope.png", "hillslope_diagram.png", "hillslope.gif", "two_kinks.png", "comparison.png", "factor.png",
-        "raw_export.png",
+        "norms.png", "raw_export.png",
     )),
     "failures.py": (127, ("stability.png", *(f"failure_{name}.png" for name in (
         "cfl", "viscosity", "refresh", "reconstruction", "hollow", "factor", "left"

@@ -8,6 +8,7 @@ import hjprofile as hj
 from hjprofile.output.plots import style
 from hjprofile.output.plots.animation import animation
 from hjprofile.output.plots.comparison import draw_comparison
+from hjprofile.output.plots.norm_panels import draw_norms
 from hjprofile.output.plots.runs import draw_diagram, draw_factor, draw_profiles
 from hjprofile.problem.survey_import import import_survey
 
@@ -36,6 +37,7 @@ def main():
         "hillslope": draw_profiles(hillslope),
         "hillslope_diagram": draw_diagram(hillslope),
         "factor": draw_factor(hillslope),
+        "norms": draw_norms(hillslope),
         "raw_export": draw_profiles(raw_export()),
         "two_kinks": draw_diagram(two_kinks),
         "comparison": draw_comparison(two_kinks, coarse, ("two_kinks", "lax-friedrichs")),

@@ -43,8 +43,8 @@ SCENES = {
     "survey": KINKS | {"profile": SURVEY, "domain": {"left": -4.0, "cells": 100}},
     "failed": KINKS | {"solver": {"method": "godunov", "cfl": 2.5}},
 }
-PICTURES = {"profile.png", "diagram.png", "factor.png"}
-FILES = {"profile.nc", "kinks.csv", "events.csv", "summary.json"} | PICTURES
+PICTURES = {"profile.png", "diagram.png", "factor.png", "norms.png"}
+FILES = {"profile.nc", "kinks.csv", "events.csv", "norms.csv", "summary.json"} | PICTURES
 
 
 @lru_cache
@@ -307,7 +307,7 @@ def assert_same(first, second):
         if field.name in ("kinks", "events", "bounds"):  # NaN where a speed or a place is not known
             assert list(map(str, a)) == list(map(str, b)), field.name
             assert field.name != "bounds" or str(dict(a)) == str(dict(b))
-        elif field.name == "stop":  # its sentence is the status, which a file holds
+        elif field.name in ("law", "stop"):  # a function; a reason, whose sentence is the status
             assert a is None
         elif field.name == "surveyed":
             assert (a is None) == (b is None) and (a is None or np.array_equal(a, b))
@@ -422,7 +422,7 @@ def test_a_disk_that_fills_up_leaves_a_run_or_none(tmp_path, monkeypatch, after)
     else:
         with pytest.raises(InputError, match=r"is not a complete result folder"):
             load_run(tmp_path / "cut")
-    assert ("summary.json" in there) == (after > 4)  # record, profile.nc, kinks.csv, events.csv, summary.json
+    assert ("summary.json" in there) == (after > 5)  # record, profile.nc, 3 tables, summary.json
 
 
 def test_a_disk_that_is_really_full(tmp_path):
@@ -442,7 +442,7 @@ def test_a_disk_that_is_really_full(tmp_path):
     assert done.returncode == 1
     assert done.stderr.startswith("hjprofile: disk/out/profile.png: No space left on device")
     assert done.stderr.count("\n") == 1
-    data = ["events.csv", "kinks.csv", "profile.nc", "summary.json"]
+    data = ["events.csv", "kinks.csv", "norms.csv", "profile.nc", "summary.json"]
     assert done.stdout.split() == ["mounted", RECORD, *data]  # what is optional costs the run nothing
 
 

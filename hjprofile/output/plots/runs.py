@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from hjprofile.output.plots import style
+from hjprofile.output.plots.norm_panels import draw_norms
 from hjprofile.output.plots.style import (
     DEPOSITED,
     DOT,
@@ -34,10 +35,10 @@ LEAST_CHANGE = 1e-9  # relative to the relief; smaller changes are rounding
 
 
 def pictures(
-    run: Run, forms: Iterable[str] = ("png",), names: Iterable[str] = ("profile", "diagram", "factor")
+    run: Run, forms: Iterable[str] = ("png",), names: Iterable[str] = ("profile", "diagram", "factor", "norms")
 ) -> dict[str, bytes | str]:
     """Return name -> file of these pictures of a run, in each form: "png" or "svg"."""
-    draw = {"profile": draw_profiles, "diagram": draw_diagram, "factor": draw_factor}
+    draw = {"profile": draw_profiles, "diagram": draw_diagram, "factor": draw_factor, "norms": draw_norms}
     drawings = {name: draw[name](run) for name in names}
     return {f"{name}.{form}": style.encode(figure, form) for name, figure in drawings.items() for form in forms}
 

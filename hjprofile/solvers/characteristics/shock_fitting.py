@@ -92,7 +92,9 @@ def _march(
     allowed = {n: (allowance if n == "volume_budget" else read, "the tolerance") for n in BOUNDS}
     # the smallest r lies below the minimum on many points, by less than this minimum lies below that on few points
     few, many = float(start.r.min()), float((start.r @ interpolation(FINE.s).T).min())
-    watch = SnapshotBounds(grid, mass, volume, allowed, law_q_f(max(2.0 * many - few, 0.5 * many), solver.table)[0])
+    least = float(law_q_f(max(2.0 * many - few, 0.5 * many), solver.table)[0])
+    variation_I = float(np.abs(np.diff(start.mesh.I.ravel(), prepend=float(problem.law.R(0.0)))).sum())
+    watch = SnapshotBounds(grid, mass, volume, allowed, least, variation_I)
     snapshots = walk(solver, problem, grid, watch, progress)
     return assembled("characteristics", solver, snapshots, watch, problem, grid), snapshots.rows(grid)[0]
 

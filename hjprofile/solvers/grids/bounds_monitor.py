@@ -11,6 +11,7 @@ from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.grids.flux import Flux
 from hjprofile.solvers.grids.kernels import watch
+from hjprofile.solvers.norms import invariant_variation
 from hjprofile.solvers.run import Array, Halt, State, Verdict
 
 ROUNDOFF = 1e-10  # relative rounding error; 1e5 steps sum errors of 1e-16 each, in the worst case all of one sign
@@ -30,14 +31,15 @@ MONOTONE: Guarantees = MappingProxyType(
         "factor_bounds": EXACT,
         "upper_bound": EXACT,
         "tv_growth": FIRST_ORDER,
+        "uniform_tv": FIRST_ORDER,
         "flux_maximum": EXACT,
         "flux_variation": EXACT,
         "kruzkov": EXACT,
     }
 )
 TELESCOPING: Guarantees = MappingProxyType({**MONOTONE, "volume_budget": EXACT})
-# a law of linear growth (§11): q and its variation are unbounded
-STEEP: Guarantees = MappingProxyType({**TELESCOPING, **dict.fromkeys(("upper_bound", "tv_growth"))})
+# a law of linear growth (§11): q and its variation are unbounded, and I does not determine q in a vertical step
+STEEP: Guarantees = MappingProxyType({**TELESCOPING, **dict.fromkeys(("upper_bound", "tv_growth", "uniform_tv"))})
 STEEP_SECOND_ORDER: Guarantees = MappingProxyType(
     {name: accuracy and FIRST_ORDER for name, accuracy in STEEP.items()}
     | {"mass_budget": EXACT, "volume_budget": EXACT}
@@ -49,6 +51,8 @@ LOCAL: Guarantees = MappingProxyType(
 HIGHER_ORDER: Guarantees = MappingProxyType(
     {name: accuracy and FIRST_ORDER for name, accuracy in LOCAL.items()} | {"mass_budget": EXACT}
 )
+# Nothing limits the overshoots of weno5 at a kink. Measured on 1000 random profiles: up to 2.7 times the allowance.
+UNLIMITED: Guarantees = MappingProxyType({**HIGHER_ORDER, "uniform_tv": None})
 # Bounds for any K. The others use the definition of K by q. With a frozen K they hold to first order in the refresh
 # interval, with an unknown constant.
 FOR_ANY_FACTOR = ("mass_budget", "signs", "l1_decay", "flux_maximum", "flux_variation", "kruzkov")
@@ -72,6 +76,7 @@ class BoundsMonitor:
     - upper_bound: q/f(q) <= sup(q(0)/f(q(0)) + W(0)) + ‖q⁻‖₁ (3.16); the margin is the unused fraction of the excess
       over 1/f'(0).
     - tv_growth: TV(q) grows by ∫ TV(K f²) dt at most; the margin is the unused fraction.
+    - uniform_tv: TV(I), I = W + R(q), is never larger than at t = 0 (§4). On a grid both are known to dx TV(q).
     - flux_maximum, flux_variation, kruzkov: with K frozen at a state, a step of the method's own length does not raise
       sup|F| or TV(F) [decay_sup_flux, decay_tv_flux], and it preserves the order of states, which is Kružkov's
       inequality: |H(q) - H(α)| <= H(max(q, α)) - H(min(q, α)) for the step H and a constant α. With a coefficient that
@@ -115,7 +120,9 @@ class BoundsMonitor:
         }  # fmt: skip
         if not inflow:
             with np.errstate(all="ignore"):
-                self.highest = float(np.max(law.R(q) + np.maximum(W[1:], W[:-1]) - W[0])) + minus - self.R0
+                R = law.R(q)
+                self.highest = float(np.max(R + np.maximum(W[1:], W[:-1]) - W[0])) + minus - self.R0
+            self.variation_I = invariant_variation(R, W, self.R0)
             self.ln_K_bound_above = float(law.derivative(0.0)) * plus
             self.ln_K_bound_below = float(law.derivative(self.floor)) * minus
         self.worst = np.tile([np.inf, np.nan, np.nan], (len(self.guarantees), 1))  # margin, time, x
@@ -182,6 +189,9 @@ class BoundsMonitor:
         self._record(
             "tv_growth", self.growth_allowed + rounding, gain, dx_tv, lambda: place(int(np.argmax(np.abs(np.diff(q)))))
         )
+        if "uniform_tv" in self.guarantees:
+            gain = watch.invariant_variation(q, dx, state.law) - self.variation_I
+            self._record("uniform_tv", rounding, gain, dx_tv + dx * self.variation)
         if "kruzkov" in self.guarantees and state.dt > 0.0 and state.steps - self.steps_frozen >= self.FROZEN_STEPS:
             self.steps_frozen = state.steps
             self._freeze(state, np.exp(ln_K) if state.K is None else state.K, most, place)

@@ -60,6 +60,7 @@ def solve_on_grid(
         units=problem.profile.units,
         surveyed=problem.profile.surveyed,
         account=problem.profile.account,
+        law=problem.law,
         cautions=cells_resolve(problem, grid).caution(f"{grid.cells} cells", "more cells, or the method auto"),
     )
     return extension.complete(run) if extension else run

@@ -103,6 +103,14 @@ def slope_at_zero(law):
 
 
 @by_type
+def curvature_at_zero(law):
+    """Return f''(0)."""
+    if law.instance_class is Rational:
+        return lambda law: -2.0
+    return lambda law: 2.0 * law.c2[(_bits(1.0) >> SHIFT) - law.first]
+
+
+@by_type
 def is_table(law):
     """Return True if the law is read ahead of a loop."""
     return (lambda law: False) if law.instance_class is Rational else (lambda law: True)

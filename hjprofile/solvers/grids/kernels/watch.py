@@ -2,9 +2,20 @@
 
 import numpy as np
 
-from hjprofile.solvers.grids.kernels.sweep_law import LANES, cell_law, is_table, read, read_f, values
+from hjprofile.solvers.grids.kernels.sweep_law import (
+    LANES,
+    cell_law,
+    curvature_at_zero,
+    is_table,
+    read,
+    read_f,
+    slope_at_zero,
+    values,
+)
 from hjprofile.solvers.grids.kernels.wavefront import exp_quadratic, looks_ahead, node_flux
 from hjprofile.solvers.kernels import vectorised
+
+SMALL_SLOPE = 1e-3  # |q| below which R(q) is a straight line: q/f(q) would magnify the error of a table of f
 
 
 @vectorised
@@ -69,6 +80,24 @@ def survey(q, dx, law, ln_K):
         dx * total.sum(), dx * size.sum(), least.min(), most.max(), variation_q.sum(), ln_K_min.min(), ln_K_max.max(),
         sum_K_z2.sum() / dx, variation_K_z2.sum() / (dx * dx),
     )  # fmt: skip
+
+
+@vectorised
+def invariant_variation(q, dx, law):
+    """Return TV(I) of I = W + R(q) at the midpoints of cells, with a neutral cell on the left.
+
+    I_{i+1} - I_i = R(q_{i+1}) - R(q_i) + dx (q_i + q_{i+1})/2 ,   R(q) = q/f(q) ≈ 1/f' - q f''/(2 f'²) at 0
+    """
+    f, df = np.empty(q.size), np.empty(q.size)
+    values(q, law, f, df)
+    R_0 = 1.0 / slope_at_zero(law)
+    R_slope = -0.5 * curvature_at_zero(law) * R_0 * R_0
+    variation, q_before, R_before = 0.0, 0.0, R_0
+    for i in range(q.size):
+        R = q[i] / f[i] if abs(q[i]) > SMALL_SLOPE else R_0 + R_slope * q[i]
+        variation += abs(R - R_before + 0.5 * dx * (q_before + q[i]))
+        q_before, R_before = q[i], R
+    return variation
 
 
 @vectorised
