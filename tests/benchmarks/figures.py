@@ -27,7 +27,7 @@ MAKES: dict[str, tuple[int, tuple[str, ...]]] = {
     )))),
     "performance.py": (600, tuple(f"performance_{name}.png" for name in ("T1", "T2", "T2s", "hillslope"))),
     "least_work.py": (305, ("least_work.png",)),
-    "paper_layer.py": (6, ("slow_erosion.png",)),
+    "paper_layer.py": (14, ("slow_erosion.png", "supply_histories.png")),
     "paper_coefficient.py": (6, ("coefficient.png", "fractional.png")),
     "paper_dependence.py": (18, ("dependence.png",)),
     "paper_bounds.py": (6, ("global_bounds.png",)),
