@@ -319,9 +319,9 @@ def summary(distances: Sequence[Distance]) -> tuple[list[str], str]:
     sentences = [
         f"data         {_line_on_pairs(studies['data'], share['data'])}",
         f"zero         ‖q‖₁ {grows}, {pairs['zero']} slopes",
-        f"coefficient  ‖q - q̃‖₁ is of order {order['coefficient']:.2f} in k - k̃, {pairs['coefficient']} pairs; at most "
+        f"coefficient  ‖q - q̃‖₁ is {_in_words(order['coefficient'])} in k - k̃, {pairs['coefficient']} pairs; at most "
         f"{share['coefficient']:.2g} of the bound",
-        f"refresh      ‖q - q̃‖₁ is of order {order['refresh']:.2f} in the fractional step"
+        f"refresh      ‖q - q̃‖₁ is {_in_words(order['refresh'])} in the fractional step"
         + (f", the distance of kinks of order {order_of_kinks:.2f}" if np.isfinite(order_of_kinks) else "")
         if pairs["refresh"]
         else "refresh      not applicable: the coefficient is constant in time",
@@ -329,6 +329,11 @@ def summary(distances: Sequence[Distance]) -> tuple[list[str], str]:
     worst = max(("data", "zero", "coefficient"), key=lambda study: share[study])
     failed = f"a distance of the study {worst!r} is {share[worst]:.4g} times its bound"
     return sentences, failed if share[worst] > 1.0 + BOUND_EXCESS else ""
+
+
+def _in_words(order: float) -> str:
+    """Return the words for an observed order, which is NaN if a distance is 0."""
+    return f"of order {order:.2f}" if np.isfinite(order) else "too small to have an order"
 
 
 def _line_on_pairs(data: Sequence[Distance], share: float) -> str:
