@@ -29,7 +29,7 @@ MAKES: dict[str, tuple[int, tuple[str, ...]]] = {
     "least_work.py": (305, ("least_work.png",)),
     "paper_layer.py": (14, ("slow_erosion.png", "supply_histories.png")),
     "paper_coefficient.py": (6, ("coefficient.png", "fractional.png")),
-    "paper_dependence.py": (18, ("dependence.png",)),
+    "paper_dependence.py": (26, ("dependence.png", "lipschitz.png")),
     "paper_bounds.py": (6, ("global_bounds.png",)),
     "paper_line.py": (7, ("whole_line.png",)),
     "paper_growth.py": (84, ("vertical_step.png",)),
