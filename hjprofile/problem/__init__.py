@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +17,7 @@ from hjprofile.problem.lists import as_numbers
 from hjprofile.problem.model import LinearGrowth, Model, Prescribed, RollingLayer, SlowErosion, WholeLine
 from hjprofile.problem.profiles import TAIL, Profile
 from hjprofile.problem.ranges import SAME_TIME, instance, number, plain, shown
+from hjprofile.problem.supply import SupplyFlux, in_words, supply_flux
 
 LINES = "half", "whole"
 LONGEST_TITLE = 500  # characters; a picture wraps them into a dozen lines
@@ -34,8 +35,8 @@ class Problem:
         snapshots: the number of saved times (evenly spaced, both ends), or the increasing saved times in [0, end].
         title: a title for pictures and files, at most 500 characters.
         coefficient: k(t, x) that replaces the grain flux K (§7); None for K itself.
-        supply_flux: the flux ε that is supplied at the crest of a rolling layer (§2); 0 is the limit of slow
-            erosion.
+        supply_flux: the flux ε that is supplied at the crest of a rolling layer (§2): a number, or, if it changes, an
+            expression in the supplied mass t, or a Python function of t; 0 is the limit of slow erosion.
         line: "half", the slope x <= 0 below its crest, or "whole", of which the grid is a window (§10).
 
     The combination of profile, law, grid and method is checked when a run begins, before anything is computed.
@@ -55,7 +56,7 @@ class Problem:
     snapshots: int | Sequence[float] = 31
     title: str = ""
     coefficient: Coefficient | None = None
-    supply_flux: float = 0.0
+    supply_flux: float | str | Callable[[Any], Any] | SupplyFlux = 0.0
     line: str = "half"
 
     def __post_init__(self) -> None:
@@ -66,19 +67,19 @@ class Problem:
             raise InputError(f"title has {len(self.title)} characters; at most {LONGEST_TITLE} are allowed")
         if self.coefficient is not None:
             instance("coefficient", self.coefficient, Coefficient)
-        for name in ("end", "supply_flux"):
-            object.__setattr__(self, name, number(name, getattr(self, name)))
+        object.__setattr__(self, "end", number("end", self.end))
+        object.__setattr__(self, "supply_flux", supply_flux("supply_flux", self.supply_flux))
         object.__setattr__(self, "snapshots", _count_or_times(self.snapshots, self.end))
-        if self.supply_flux and self.law.name != "rational":
+        if self.supply and self.law.name != "rational":
             raise InputError(
-                f"supply_flux = {self.supply_flux:g} needs the law 'rational', not {self.law.name!r}, because a "
+                f"supply_flux = {in_words(self.supply)} needs the law 'rational', not {self.law.name!r}, because a "
                 "rolling layer is modelled for that law only"
             )
         if self.line not in LINES:
             raise InputError(f"line = {shown(self.line)} is not known; allowed are {', '.join(map(repr, LINES))}")
-        if self.supply_flux and self.line == "whole":
+        if self.supply and self.line == "whole":
             raise InputError(
-                f"supply_flux = {self.supply_flux:g} needs line = 'half', because the grains start at the crest"
+                f"supply_flux = {in_words(self.supply)} needs line = 'half', because the grains start at the crest"
             )
         models = self._models()
         if len(models) > 1:
@@ -100,13 +101,19 @@ class Problem:
         models: dict[str, Model] = {}
         if self.coefficient is not None:
             models["a coefficient"] = Prescribed(self.coefficient)
-        if self.supply_flux > 0.0:
-            models["a rolling layer"] = RollingLayer(self.supply_flux)
+        if self.supply:
+            models["a rolling layer"] = RollingLayer(self.supply)
         if self.line == "whole":
             models["line = 'whole'"] = WholeLine()
         if self.law.grows_linearly:
             models["a law with growth = 'linear'"] = LinearGrowth()
         return models
+
+    @property
+    def supply(self) -> float | SupplyFlux:
+        """The supply flux: 0, a positive number, or a function of t."""
+        assert isinstance(self.supply_flux, float | SupplyFlux)
+        return self.supply_flux
 
     @property
     def model(self) -> Model:
@@ -158,6 +165,12 @@ class Problem:
         self.check_profile(grid)
         if self.coefficient is not None:
             self.coefficient.check(grid.nodes, self.end)
+        self.check_supply()
+
+    def check_supply(self) -> None:
+        """Raise InputError unless the supply flux is positive at the start and at the end, or 0."""
+        if isinstance(self.supply, SupplyFlux):
+            self.supply.check(self.end)
 
     def check_line(self, grid: Grid) -> None:
         """Raise InputError if the right end of the grid does not fit the line."""

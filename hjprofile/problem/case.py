@@ -22,6 +22,7 @@ from hjprofile.problem.kinds import COUNT_OR_TIMES, NUMBER, POSITIVE, SWITCH, TA
 from hjprofile.problem.profiles import TAIL, Profile
 from hjprofile.problem.ranges import RANGES, number, plain, shown, whole
 from hjprofile.problem.schema import SECTIONS, Choice, Choices, Faults, Key, Table, to_table
+from hjprofile.problem.supply import from_layer, layer_table
 from hjprofile.problem.survey import survey
 
 DEFAULT_METHOD = "local-lax-friedrichs"
@@ -30,7 +31,6 @@ DEFAULT_CHECKPOINT = 60.0  # seconds
 
 TOP = Key("title", TEXT, None), *(Key(name, TABLE, {}) for name in (*SECTIONS, "expect"))
 LAWS = Choices(Key("law", TEXT), erosion.rational, erosion.log, erosion.power, erosion.expression, erosion.from_file)
-LAYER = (Key("supply_flux", NUMBER, 0.0, check=number),)
 PROFILES = Choices(
     Key("kind", TEXT), profiles.Kinks, profiles.Bumps, profiles.steps, profiles.Points, profiles.Steady, survey,
     from_file,
@@ -163,7 +163,7 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
     law = LAWS.build(sections["erosion"], base)
     profile = PROFILES.build(sections["profile"], base)
     given = COEFFICIENTS.build(sections["coefficient"], base) if "coefficient" in content else None
-    layer, domain = sections["layer"].take(LAYER), LINES.read(sections["domain"])
+    supply, domain = from_layer(sections["layer"], base), LINES.read(sections["domain"])
     time, solver = _time(sections["time"]), sections["solver"].take(SOLVER)
     output = sections["output"].take(OUTPUT)
     grid = _grid(sections["domain"], domain, profile, solver["tolerance"])
@@ -173,7 +173,7 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
             grid.check_memory(problem.kept)
     if law and profile and problem:
         problem = replace(problem, law=law, profile=profile)
-        problem = _together(sections, problem, grid, given, layer | domain)
+        problem = _together(sections, problem, grid, given, {"supply_flux": supply} | domain)
     faults.stop()
     assert grid and problem  # `stop` has raised otherwise
     return Case(name, source, problem, grid, **solver, **output, expect=dict(top["expect"]), supplied=time["supplied"])
@@ -245,7 +245,8 @@ def _together(
     with medium.noting():
         problem = replace(problem, coefficient=given)
     with sections["layer"].noting():
-        problem = replace(problem, supply_flux=rest["supply_flux"] or 0.0)
+        problem = replace(problem, supply_flux=rest["supply_flux"])
+        problem.check_supply()
     if grid is None or not domain.sound:
         return problem
     with domain.noting():
@@ -277,7 +278,7 @@ def resolved_case(
     solver = {"method": method, "cfl": cfl, "tolerance": tolerance, "refresh": refresh}
     sections = {
         "erosion": plain(problem.law.table),
-        "layer": to_table(LAYER, {"supply_flux": problem.supply_flux}),
+        "layer": layer_table(problem.supply),
         "profile": plain(problem.profile.table),
         "coefficient": plain(problem.coefficient.table) if problem.coefficient else {},
         "domain": LINES.table(domain),

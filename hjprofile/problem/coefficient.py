@@ -86,9 +86,9 @@ def coefficient(k: str | Callable[..., Any]) -> Coefficient:
     """Return a prescribed coefficient k, the factor of the flux k f(q).
 
     Args:
-        k: an arithmetic expression in t and x with + - * / **, exp, log, log1p, expm1, sqrt; or a Python function k(t,
-            x) or k(x) of arrays that broadcast, or of single numbers (slower). t is the supplied mass, x is in exchange
-            lengths.
+        k: an arithmetic expression in t and x with + - * / **, exp, log, log1p, expm1, sqrt, sin, cos; or a Python
+            function k(t, x) or k(x) of arrays that broadcast, or of single numbers (slower). t is the supplied mass, x
+            is in exchange lengths.
 
     Returns:
         The coefficient.

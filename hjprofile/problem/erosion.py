@@ -265,7 +265,7 @@ def expression(expression: str, growth: str | None = None) -> ErosionLaw:
     """Return a law from an arithmetic expression in q.
 
     Args:
-        expression: text with numbers, q, + - * / **, exp, log, log1p, expm1, sqrt, at most 1000 characters.
+        expression: text with numbers, q, + - * / **, exp, log, log1p, expm1, sqrt, sin, cos, at most 1000 characters.
         growth: "linear" for a law whose slope f' tends to a positive limit (§11), else None.
 
     Returns:

@@ -13,7 +13,7 @@ from hjprofile.errors import InputError, did_you_mean
 from hjprofile.problem.ranges import shown
 
 ABOUT = "an-expression"  # heading of the page on errors
-_FUNCTIONS = {name: getattr(np, name) for name in ("exp", "log", "log1p", "expm1", "sqrt")}
+_FUNCTIONS = {name: getattr(np, name) for name in ("exp", "log", "log1p", "expm1", "sqrt", "sin", "cos")}
 _NODES = (
     ast.Expression, ast.BinOp, ast.UnaryOp, ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.UAdd, ast.USub,
     ast.Name, ast.Load, ast.Call, ast.Constant,
@@ -34,7 +34,7 @@ class _FloatConstants(ast.NodeTransformer):
         return ast.copy_location(ast.Constant(float(node.value)), node)  # type: ignore[arg-type]
 
 
-def _checked(tree: ast.AST, text: str, variables: tuple[str, ...], allowed: str) -> set[str]:
+def _checked(tree: ast.AST, written: str, variables: tuple[str, ...], allowed: str) -> set[str]:
     """Return the names that a syntax tree uses. Raise InputError for any part that is not on the list."""
     called = {id(n.func) for n in ast.walk(tree) if isinstance(n, ast.Call)}
     used = set()
@@ -53,33 +53,33 @@ def _checked(tree: ast.AST, text: str, variables: tuple[str, ...], allowed: str)
             hint = did_you_mean(part, variables)
             if isinstance(node, ast.BitXor):
                 part, hint = "^", " (a power is written **);"
-            raise InputError(f"expression = {text!r} contains {part!r}{hint or ';'} {allowed}", ABOUT)
+            raise InputError(f"{written} contains {part!r}{hint or ';'} {allowed}", ABOUT)
     return used
 
 
-def arithmetic(text: str, *variables: str) -> Arithmetic:
-    """Return an arithmetic expression in these variables: numbers, + - * / **, exp, log, log1p, expm1, sqrt.
+def arithmetic(text: str, *variables: str, name: str = "expression") -> Arithmetic:
+    """Return an arithmetic expression in these variables: numbers, + - * / **, exp, log, log1p, expm1, sqrt, sin, cos.
 
     The syntax tree is checked against that list before anything is compiled. A value that is not a real number is NaN.
-    Raise InputError for any other expression.
+    Raise InputError for any other expression; the message begins with the key `name`.
     """
     allowed = f"allowed are numbers, {', '.join(variables)}, + - * / ** and the functions {', '.join(_FUNCTIONS)}"
     if not isinstance(text, str):
-        raise InputError(f"expression = {shown(text)} must be a string", ABOUT)
+        raise InputError(f"{name} = {shown(text)} must be a string", ABOUT)
     if len(text) > 1000:
-        raise InputError(f"expression is {len(text)} characters long; at most 1000 are allowed", ABOUT)
+        raise InputError(f"{name} is {len(text)} characters long; at most 1000 are allowed", ABOUT)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of '1or q' and similar, which the list excludes
             tree = ast.parse(text.strip(), mode="eval")
-        used = _checked(tree, text, variables, allowed)
+        used = _checked(tree, f"{name} = {text!r}", variables, allowed)
         tree = ast.fix_missing_locations(_FloatConstants().visit(tree))
         code = compile(tree, "<expression>", "eval")
     except (SyntaxError, RecursionError, MemoryError, OverflowError, ValueError) as error:
         if isinstance(error, InputError):
             raise
         hint = "is not an arithmetic expression (products are written with *)"
-        raise InputError(f"expression = {text!r} {hint}; {allowed}", ABOUT) from None
+        raise InputError(f"{name} = {text!r} {hint}; {allowed}", ABOUT) from None
 
     def value(*arguments: Any) -> Any:
         arrays = [np.asarray(a, dtype=float) for a in arguments]

@@ -17,6 +17,7 @@ from hjprofile.problem.coefficient import Coefficient
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.given import Given
 from hjprofile.problem.profiles import Bumps, Kinks, Points, Profile, Steady
+from hjprofile.problem.supply import SupplyFlux
 
 MOST_PLACES = 1000  # nodes at which a coefficient from a Python file is sampled
 TIMES = 9  # ... and times
@@ -27,14 +28,18 @@ def identity(case: Case) -> dict[str, Any]:
     package.
 
     Files count by their bytes. Data that a Python file reads are covered by sampled values only: f over
-    1e-8 <= 1 + q <= 1e8, heights at the nodes, k at TIMES times and at MOST_PLACES nodes. Raise InputError for a
-    Python function that is in no file.
+    1e-8 <= 1 + q <= 1e8, heights at the nodes, k at TIMES times and at MOST_PLACES nodes, ε at MOST_PLACES times.
+    Raise InputError for a Python function that is in no file.
     """
     problem = case.problem
     table = resolved_case(problem, case.grid, case.method, case.cfl, case.tolerance, case.refresh)
     del table["title"]
     digest = hashlib.sha256()
-    for name, part in (("law", problem.law), ("profile", problem.profile), ("coefficient", problem.coefficient)):
+    supply = problem.supply if isinstance(problem.supply, SupplyFlux) else None
+    parts: dict[str, ErosionLaw | Profile | Coefficient | SupplyFlux | None] = {
+        "law": problem.law, "profile": problem.profile, "coefficient": problem.coefficient, "supply flux": supply,
+    }  # fmt: skip
+    for name, part in parts.items():
         if part is not None:
             content = _content(part)
             if content is None:
@@ -54,7 +59,7 @@ def digest_of(case: Case) -> str:
     return hashlib.sha256(json.dumps(identity(case), sort_keys=True).encode()).hexdigest()
 
 
-def _content(part: ErosionLaw | Profile | Coefficient) -> str | None:
+def _content(part: ErosionLaw | Profile | Coefficient | SupplyFlux) -> str | None:
     """Return a hash of the data that the table of a part of a problem lacks; None if they are not available."""
     match part:
         case Points():
@@ -62,7 +67,7 @@ def _content(part: ErosionLaw | Profile | Coefficient) -> str | None:
             return hashlib.sha256(part.x.tobytes() + part.q.tobytes() + extra).hexdigest()
         case Kinks() | Bumps() | Steady():
             return ""
-        case ErosionLaw() | Coefficient() | Given():
+        case ErosionLaw() | Coefficient() | Given() | SupplyFlux():
             return part.content
     return None
 
@@ -79,6 +84,8 @@ def _samples(case: Case) -> list[bytes]:
     if given is not None and given.table.get("kind") == "python":
         times = np.linspace(0.0, problem.end, TIMES)[:, None]
         found.append(_values(given.function, times, nodes[:: -(-nodes.size // MOST_PLACES)]))
+    if isinstance(problem.supply, SupplyFlux) and "file" in problem.supply.table:
+        found.append(_values(problem.supply.function, np.linspace(0.0, problem.end, MOST_PLACES)))
     return found
 
 

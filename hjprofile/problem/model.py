@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from hjprofile.problem.coefficient import Coefficient
+from hjprofile.problem.supply import SupplyFlux
 
 
 @dataclass(frozen=True)
@@ -21,9 +22,9 @@ class Prescribed:
 
 @dataclass(frozen=True)
 class RollingLayer:
-    """The 2x2 model with a rolling layer, of this flux at the crest (§2)."""
+    """The 2x2 model with a rolling layer, of this flux at the crest, constant or a function of t (§2)."""
 
-    supply_flux: float
+    supply_flux: float | SupplyFlux
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,7 @@ RANGES = {  # docs/cases.md has the same table
     "end": Range(1e-300, 1e12, "a number, 0 or more, from 1e-300 to 1e12 if not 0", zero=True),
     "supplied": Range(1e-300, 1e36, "a number, 0 or more, from 1e-300 to 1e36 if not 0", zero=True),
     "supply_flux": Range(1e-300, 1e6, "a number, 0 or more, from 1e-300 to 1e6 if not 0", zero=True),
+    "supply_flux(t)": _positive(1e-100, 1e6),
     "left": _DOWNHILL,
     "left of a window": _PLACE,
     "right": _PLACE,

@@ -100,7 +100,7 @@ def _without_factor(make: Callable[..., Scheme], *parts: object) -> MakeScheme:
 
 def _below_a_layer(problem: Problem, grid: Grid, refresh: float | None = None) -> Scheme:
     """Return the scheme for the bed below a rolling layer."""
-    return _without_factor(WithLayer, FLUXES["telescoping"], problem.supply_flux)(problem, grid, refresh)
+    return _without_factor(WithLayer, FLUXES["telescoping"], problem.supply)(problem, grid, refresh)
 
 
 def _second_order() -> Method:

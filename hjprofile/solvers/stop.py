@@ -24,6 +24,7 @@ class Reason(Enum):
     TOO_LONG = auto()  # more work than was allowed
     LEFT_THE_WINDOW = auto()
     BAD_COEFFICIENT = auto()
+    BAD_SUPPLY = auto()
     NO_METHOD = auto()
 
 

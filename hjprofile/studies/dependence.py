@@ -36,6 +36,7 @@ from hjprofile.solvers.solve import solve_hj
 from hjprofile.solvers.stop import ROBUST_METHOD
 from hjprofile.studies.accuracy import observed_order
 from hjprofile.studies.fractional import fractional_steps
+from hjprofile.studies.proved_constant import proof
 
 METHOD = ROBUST_METHOD  # a monotone method: the contractions of the theory hold for it too
 CELLS = 1000
@@ -64,6 +65,8 @@ class Distance(NamedTuple):
         member: number of the pair.
         size: ‖q - q̃‖₁ at t = 0; the largest relative disturbance of k; the fractional step.
         bound: upper bound of `distance`: see the module; for "zero" ‖q‖₁ at t = 0; NaN for fractional steps.
+        constant: L with ‖q - q̃‖₁ <= e^{Lt} ‖q - q̃‖₁(0) from the data of the pair alone (§9); 0 for "zero" and for pairs
+            with one prescribed coefficient; NaN for the other studies.
     """
 
     case: str
@@ -73,6 +76,7 @@ class Distance(NamedTuple):
     time: float
     distance: float
     bound: float
+    constant: float = np.nan
 
 
 def dependence(
@@ -249,8 +253,13 @@ class _Study:
         """Return the distances between two solutions; the size is that at the start unless another is given."""
         apart = self.grid.dx * np.abs(first.q - second.q).sum(axis=1)
         bound = distance_bound(self.problem.law, first, second)
+        constant = np.nan
+        if study == "data":
+            own = self.problem.coefficient is None
+            constant = proof(self.problem.law, first.q[0], second.q[0], self.grid.dx).constant if own else 0.0
+        start = float(apart[0]) if size is None else size
         return [
-            Distance(self.case, study, member, float(apart[0]) if size is None else size, float(t), float(d), float(b))
+            Distance(self.case, study, member, start, float(t), float(d), float(b), constant)
             for t, d, b in zip(first.time, apart, bound, strict=True)
         ]
 
@@ -258,7 +267,7 @@ class _Study:
         """Return the distances from the neutral slope, to which the flow is a contraction."""
         norm = self.grid.dx * np.abs(run.q).sum(axis=1)
         return [
-            Distance(self.case, "zero", member, float(norm[0]), float(t), float(d), float(norm[0]))
+            Distance(self.case, "zero", member, float(norm[0]), float(t), float(d), float(norm[0]), 0.0)
             for t, d in zip(run.time, norm, strict=True)
         ]
 
@@ -319,9 +328,9 @@ def summary(distances: Sequence[Distance]) -> tuple[list[str], str]:
     sentences = [
         f"data         {_line_on_pairs(studies['data'], share['data'])}",
         f"zero         ‖q‖₁ {grows}, {pairs['zero']} slopes",
-        f"coefficient  ‖q - q̃‖₁ is of order {order['coefficient']:.2f} in k - k̃, {pairs['coefficient']} pairs; at most "
+        f"coefficient  ‖q - q̃‖₁ is {_in_words(order['coefficient'])} in k - k̃, {pairs['coefficient']} pairs; at most "
         f"{share['coefficient']:.2g} of the bound",
-        f"refresh      ‖q - q̃‖₁ is of order {order['refresh']:.2f} in the fractional step"
+        f"refresh      ‖q - q̃‖₁ is {_in_words(order['refresh'])} in the fractional step"
         + (f", the distance of kinks of order {order_of_kinks:.2f}" if np.isfinite(order_of_kinks) else "")
         if pairs["refresh"]
         else "refresh      not applicable: the coefficient is constant in time",
@@ -329,6 +338,11 @@ def summary(distances: Sequence[Distance]) -> tuple[list[str], str]:
     worst = max(("data", "zero", "coefficient"), key=lambda study: share[study])
     failed = f"a distance of the study {worst!r} is {share[worst]:.4g} times its bound"
     return sentences, failed if share[worst] > 1.0 + BOUND_EXCESS else ""
+
+
+def _in_words(order: float) -> str:
+    """Return the words for an observed order, which is NaN if a distance is 0."""
+    return f"of order {order:.2f}" if np.isfinite(order) else "too small to have an order"
 
 
 def _line_on_pairs(data: Sequence[Distance], share: float) -> str:
@@ -340,5 +354,5 @@ def _line_on_pairs(data: Sequence[Distance], share: float) -> str:
     each = ", ".join(f"{value:.3g}" for value in L)
     return (
         f"‖q - q̃‖₁ <= e^(Lt) ‖q - q̃‖₁(0) with L = {max(L):.3g} for {pairs} pairs ({each} from far to near); "
-        f"at most {share:.2g} of the bound"
+        f"at most {share:.2g} of the bound; L = {max(d.constant for d in data):.3g} from the data alone"
     )

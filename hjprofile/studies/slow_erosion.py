@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from hjprofile.errors import RunError
+from hjprofile.errors import InputError, RunError
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
-from hjprofile.problem.lists import numbers
-from hjprofile.problem.ranges import instance
+from hjprofile.problem.ranges import instance, shown
+from hjprofile.problem.supply import ABOUT, SupplyFlux, in_words, supply_flux
 from hjprofile.solvers.method import Feature
 from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.solve import solve_with
@@ -22,23 +22,26 @@ class Departure(NamedTuple):
     """Distance of a slope below a rolling layer with that supply flux from the limit, on the same grid.
 
     Attributes:
-        supply_flux: ε; 0 for the limit itself.
+        supply_flux: ε, a number, or a `SupplyFlux` if it depends on t; 0 for the limit itself.
         slope_l1, height_sup: ∫|q - q_limit| dx and sup|u - u_limit|, the largest of the saved times.
         steps: number of time steps.
     """
 
-    supply_flux: float
+    supply_flux: float | SupplyFlux
     slope_l1: float
     height_sup: float
     steps: int
 
 
-def slow_erosion(problem: Problem, grid: Grid, supply_fluxes: Sequence[float], cfl: float = 0.9) -> list[Departure]:
+def slow_erosion(
+    problem: Problem, grid: Grid, supply_fluxes: Sequence[float | str | Callable[[Any], Any]], cfl: float = 0.9
+) -> list[Departure]:
     """Solve (1.6) for each supply flux, and (1.1), all with the same numerical flux on the same grid.
 
     - `problem`: the problem without a rolling layer.
     - `grid`: left end and number of cells.
-    - `supply_fluxes`: values of ε > 0, the thickness of the rolling layer at the crest of a neutral slope.
+    - `supply_fluxes`: values of ε > 0, the thickness of the rolling layer at the crest of a neutral slope. An entry may
+      also be an expression in the supplied mass t, or a Python function of t: the limit is the same.
     - `cfl`: the time step as a fraction of the largest one that the method admits.
 
     Return a list of `Departure`: that of the limit, with the supply flux 0, then one for each supply flux. Raise
@@ -53,11 +56,13 @@ def slow_erosion(problem: Problem, grid: Grid, supply_fluxes: Sequence[float], c
     instance("problem", problem, Problem)
     (method,) = (m for m in METHODS.values() if Feature.LAYER in m.supports)
     departures, limit = [], None
-    for supply_flux in (0.0, *numbers("supply_flux", supply_fluxes).tolist()):
-        run = solve_with(method, replace(problem, supply_flux=supply_flux), grid, cfl)
+    if not isinstance(supply_fluxes, list | tuple | np.ndarray) or len(supply_fluxes) == 0:
+        raise InputError(f"supply_fluxes = {shown(supply_fluxes)} must be a list of supply fluxes", ABOUT)
+    for flux in (0.0, *(supply_flux(f"supply_fluxes[{i}]", each) for i, each in enumerate(supply_fluxes))):
+        run = solve_with(method, replace(problem, supply_flux=flux), grid, cfl)
         if not run.done:
-            raise RunError(f"supply_flux = {supply_flux:g}: {run.status}")
+            raise RunError(f"supply_flux = {in_words(flux)}: {run.status}")
         limit = limit or run
         slope = grid.dx * float(np.abs(run.q - limit.q).sum(axis=1).max())
-        departures.append(Departure(supply_flux, slope, float(np.abs(run.u - limit.u).max()), run.steps))
+        departures.append(Departure(flux, slope, float(np.abs(run.u - limit.u).max()), run.steps))
     return departures

@@ -25,6 +25,7 @@ from hjprofile.output.run_account import run_account, with_error
 from hjprofile.output.store import load_run
 from hjprofile.problem.case import load_case
 from hjprofile.problem.case_files import shipped_cases
+from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.solve import solve_case
 from hjprofile.studies import dependence
 from hjprofile.studies import stability as study
@@ -212,9 +213,11 @@ def test_stability_writes_its_table_and_picture(folder, call, monkeypatch):
         ("godunov", "cfl", value, outcome, "", 1.0)
         for value, outcome in ((0.5, study.HOLDS), (1.5, study.OSCILLATES), (3.0, study.FAILS))
     ]
+    rows += [("weno5", "cfl", value, study.HOLDS, "", METHODS["weno5"].cfl_proved) for value in (0.5, 3.0)]
     monkeypatch.setattr(study, "_cfl", lambda data: iter(rows))
     code, out, err = call("stability", "bare.toml")
     assert (code, err) == (0, "") and out.splitlines()[1].split()[0] == "godunov"
+    assert out.splitlines()[2].split() == ["weno5", "all", "up", "to", "3", "(none)"]  # no limit is proved
     rows = list(csv.DictReader(Path("results/bare/stability.csv").read_text().splitlines()))
     assert list(rows[0]) == ["case", "method", "parameter", "value", "outcome", "detail"]
     assert {row["outcome"] for row in rows} == {"holds", "loses_bounds", "oscillates", "fails"}

@@ -25,6 +25,7 @@ from hjprofile.solvers.solve import solve_case
 KEPT = {"solver__refresh": 0.9}  # a factor that is kept across saved times and checkpoints
 PRESCRIBED = {"coefficient__kind": "expression", "coefficient__expression": "exp(-0.2*x)*(1 + 0.1*t)"}
 LAYER = {"erosion__law": "rational", "layer__supply_flux": 0.1}
+PULSES = {"erosion__law": "rational", "layer__supply_flux": "0.1*(1 + 0.9*sin(20*t))"}
 LINE = {"erosion__law": "rational", "domain__line": "whole", "domain__right": 3.0}
 STEPS = {  # kinks merge, a vertical step begins and leaves at the toe
     "erosion": {"law": "expression", "expression": "q + q/(1+q)", "growth": "linear"},
@@ -38,7 +39,7 @@ STEPS = {  # kinks merge, a vertical step begins and leaves at the toe
     ("method", "changes"),
     [(m, {}) for m in GRID_METHODS]
     + [("godunov", KEPT), ("eno2", KEPT), ("conservative", PRESCRIBED), (LAYER_METHOD, LAYER), ("conservative", LINE)]
-    + [("telescoping", STEPS)],
+    + [("telescoping", STEPS), (LAYER_METHOD, PULSES)],
 )
 def test_every_method_goes_on_bit_for_bit(method, changes, tmp_path):
     case = case_of(method, **{"domain__cells": 200} | changes)

@@ -255,7 +255,7 @@ ATTACKS = {
     "name": "pi*q/(1+q)",
     "function as a value": "exp",
     "q called": "q(1)",
-    "unknown function": "sin(q)",
+    "unknown function": "tan(q)",
     "builtin": "abs(q)",
     "call of a call": "exp(q)(q)",
     "lambda": "(lambda: open('pwned', 'w'))()",

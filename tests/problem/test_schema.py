@@ -148,6 +148,12 @@ def test_overrides_are_told_with_the_faults_of_the_file(folder):
     ]  # fmt: skip
 
 
+def supplied(problem):
+    """The supply flux, or its values if it depends on t."""
+    flux = problem.supply_flux
+    return flux if isinstance(flux, float) else flux.values(np.linspace(0.0, problem.end, 9)).tolist()
+
+
 def round_trip(case, folder):
     """The resolved case is the case, and is written as it was read, to the last bit."""
     table = resolved_case(case.problem, case.grid, case.method, case.cfl, case.tolerance, case.refresh)
@@ -160,7 +166,7 @@ def round_trip(case, folder):
         case.grid, case.method, case.cfl, case.tolerance, case.refresh
     )  # fmt: skip
     same(again.problem, case.problem, case.grid)
-    assert again.problem.supply_flux == case.problem.supply_flux and again.problem.line == case.problem.line
+    assert supplied(again.problem) == supplied(case.problem) and again.problem.line == case.problem.line
     return table
 
 
@@ -220,6 +226,11 @@ COEFFICIENT = st.one_of(
     table("expression", expression=numbers(0.0, 1.0).map(lambda a: f"exp(-{a!r}*x)/(1+t) ")),
     table("python", file=st.just("user.py"), function=st.just("k")),
 )
+LAYER = st.one_of(
+    st.fixed_dictionaries({"supply_flux": numbers(1e-9, 5.0)}),
+    st.fixed_dictionaries({"supply_flux": numbers(1e-9, 5.0).map(lambda a: f" {a!r}*(1 + 0.9*sin(20*t)) ")}),
+    st.just({"file": "user.py", "function": "supply"}),
+)
 
 
 @st.composite
@@ -250,7 +261,7 @@ def cases(draw):
         "output": section(vtk=perhaps(st.booleans()), checkpoint=perhaps(st.integers(1, 99))),
     }  # fmt: skip
     if scene == "layer":
-        content["layer"] = {"supply_flux": draw(numbers(1e-9, 5.0))}
+        content["layer"] = draw(LAYER)
     if scene == "coefficient":
         content["coefficient"] = draw(COEFFICIENT)
     if scene == "whole":

@@ -65,6 +65,17 @@ def test_what_goes_wrong_on_the_way_is_a_sentence():
         study.dependence("k", problem, hj.Grid(-10.0, 100))
 
 
+def test_distances_of_zero_have_no_order(distances):
+    """A run so short that nothing moves: words in the place of a number that does not exist."""
+    still = [
+        d._replace(distance=0.0) if d.study in ("coefficient", "refresh", "refresh kinks") else d for d in distances
+    ]
+    sentences, failed = study.summary(still)
+    assert not failed and "nan" not in " ".join(sentences)
+    assert "‖q - q̃‖₁ is too small to have an order in k - k̃" in sentences[2]
+    assert sentences[3] == "refresh      ‖q - q̃‖₁ is too small to have an order in the fractional step"
+
+
 def of(distances, name):
     return [d for d in distances if d.study == name]
 

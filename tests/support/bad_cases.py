@@ -37,7 +37,8 @@ COEFFICIENTS = {
     "python": {"file": "user.py", "function": "k"},
 }
 FILES = {  # what the tables above name
-    "user.py": "import math\n\n\ndef f(q):\n    return math.log(1 + q)\n\n\n"
+    "user.py": "import math\n\n\ndef supply(t):\n    return 0.1 + 0.05*math.sin(t)\n\n\n"
+    "def f(q):\n    return math.log(1 + q)\n\n\n"
     "def u(x):\n    return x + 0.5 * math.erfc(-2 * (x + 3))\n\n\n"
     "def k(t, x):\n    return 1 + t - x\n",
     "survey.csv": "x,height\n0,0\n1,0.25\n2,0.2\n4,3\n",
@@ -231,6 +232,11 @@ BAD |= {
         ["kind = 'steady' is for the half line only"],
     ),
     "no supply_flux": ({"layer": {"supply_flux": -0.5}}, "layer", ["supply_flux = -0.5 must be a number, 0 or more"]),
+    "a supply that runs out": (
+        {"layer": {"supply_flux": "0.5 - t"}},
+        "layer",
+        ["supply_flux = -0.5 at t = 1 is not a positive number"],
+    ),
     "a layer under another law": (
         {"layer": {"supply_flux": 0.5}, "erosion.law": "log"},
         "layer",

@@ -179,30 +179,33 @@ def means_of_samples(x, q, nodes):
 
 
 def resolved_layer(q, left, supply_flux, end):
-    """Cell means of q and of h below a rolling layer, in the paper's own variables and its own, fast time (1.6).
+    """Cell means of q and of h below a rolling layer, in the paper's own variables and its own, fast time T (1.6).
 
-    h_t - (h p)_x = (p-1) h, p_t + ((p-1) h)_x = 0, h p = supply_flux at x = 0, no layer at first; upwind with limited
-    linear reconstruction (minmod), the source by cell means, Heun's steps that resolve the layer's fast time.
+    h_T - (h p)_x = (p-1) h, p_T + ((p-1) h)_x = 0, h p = supply_flux at x = 0, no layer at first; upwind with limited
+    linear reconstruction (minmod), the source by cell means, Heun's steps that resolve the layer's fast time. The flux
+    is a function of the supplied mass t, which is integrated along: dt = supply_flux(t) dT. It ends at t = end.
     """
     n = q.size
-    dx, t, last = -left / n, 0.0, end / supply_flux
+    dx, t = -left / n, 0.0
 
     def limited(v, before, after):
         back, ahead = np.diff(v, prepend=before), np.diff(v, append=after)
         return 0.5 * np.where(back * ahead > 0, np.sign(back) * np.minimum(np.abs(back), np.abs(ahead)), 0.0)
 
-    def rates(h, p):
-        half_h, half_p = limited(h, h[0], supply_flux / p[-1]), limited(p, p[0], p[-1])
-        grains = np.append((h - half_h) * (p - half_p), supply_flux)  # run to the left
+    def rates(h, p, flux):
+        half_h, half_p = limited(h, h[0], flux / p[-1]), limited(p, p[0], p[-1])
+        grains = np.append((h - half_h) * (p - half_p), flux)  # run to the left
         eroded = np.append(0.0, (h + half_h) * (p + half_p - 1))  # slopes run to the right
         return np.diff(grains) / dx + (p - 1) * h, -np.diff(eroded) / dx
 
     h, p = np.zeros(n), 1 + q
-    while t < last:
-        dt = min(0.4 * dx / np.max(p + h), last - t)
-        h1, p1 = (v + dt * r for v, r in zip((h, p), rates(h, p), strict=True))
-        h, p = (0.5 * (v + w + dt * r) for v, w, r in zip((h, p), (h1, p1), rates(h1, p1), strict=True))
-        t += dt
+    while t < end * (1 - 1e-12):
+        dT, flux = 0.4 * dx / np.max(p + h), supply_flux(t)
+        dT = min(dT, 2 * (end - t) / (flux + supply_flux(end)))
+        flux1 = supply_flux(t + dT * flux)
+        h1, p1 = (v + dT * r for v, r in zip((h, p), rates(h, p, flux), strict=True))
+        h, p = (0.5 * (v + w + dT * r) for v, w, r in zip((h, p), (h1, p1), rates(h1, p1, flux1), strict=True))
+        t += 0.5 * dT * (flux + flux1)
     return p - 1, h
 
 

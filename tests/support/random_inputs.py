@@ -170,7 +170,8 @@ def random_content(rng):
     content["time"] = {"end": end, "snapshots": rng.choice([1, 2, rng.randint(1, 50), times])}
     content["solver"] = {"method": rng.choice(named()), "cfl": rng.choice([0.9, 1.0, rng.uniform(0.01, 5.0)])}
     if rng.random() < 0.1:
-        content["layer"] = {"supply_flux": 10.0 ** rng.uniform(-4, 1)}
+        size = 10.0 ** rng.uniform(-4, 1)
+        content["layer"] = {"supply_flux": rng.choice([size, f"{size!r}*(1 + 0.9*sin(20*t))"])}
         content["erosion"], content["solver"]["method"] = {"law": "rational"}, "conservative-telescoping"
     if rng.random() < 0.3:
         content["solver"]["tolerance"] = 10.0 ** rng.uniform(-15, 1)
@@ -230,7 +231,7 @@ def small_run(rng):
 
 # what is allowed, what Python reads but a law may not hold, and characters that end or nest something
 ALLOWED = ["q", "(1+q)", "1", "2.5", "1e9", "1e-300", "1e300", "+", "-", "*", "/", "**", "(", ")", " "]
-ALLOWED += [f"{name}(" for name in ("exp", "log", "log1p", "expm1", "sqrt")]
+ALLOWED += [f"{name}(" for name in ("exp", "log", "log1p", "expm1", "sqrt", "sin", "cos")]
 FORBIDDEN = [
     "__import__('os').system('touch pwned')", "open('pwned', 'w')", "__class__", ".__bases__", "__builtins__", "eval(",
     "lambda:", "lambda q:", "[q for q in (1,)]", "{q: q}", "(q := 1)", "f'{q}'", "f'{open(\"pwned\", \"w\")}'", "'",
@@ -250,7 +251,7 @@ def formula(rng, depth):
         return rng.choice(["q", "(1+q)", "1", "0.5", str(round(rng.uniform(0, 9), 2)), "1e300", "1e-300", "0"])
     inner = formula(rng, depth - 1)
     if rng.random() < 0.4:
-        return f"{rng.choice(['exp', 'log', 'log1p', 'expm1', 'sqrt', '-', '+'])}({inner})"
+        return f"{rng.choice(['exp', 'log', 'log1p', 'expm1', 'sqrt', 'sin', 'cos', '-', '+'])}({inner})"
     return f"({inner}{rng.choice(['+', '-', '*', '/', '**'])}{formula(rng, rng.randrange(depth))})"
 
 

@@ -34,3 +34,18 @@ def random_pieces(rng):
             places.append(at)
             values.append(q())
     return hj.points(places, values)
+
+
+def random_pair(rng, law, grid):
+    """Return the cell means of two random slopes, unlike or close, whose K span a few decades at most."""
+    make = random_bumps if rng.random() < 0.5 else random_pieces
+    q, p = (make(rng).q_means(grid, law) for _ in range(2))
+    share = rng.choice([1.0, 0.1, 0.01])  # of the way from q to p
+    size = rng.choice([0.15, 0.4])  # of slopes up to 6
+    return size * q, size * (q + share * (p - q))
+
+
+def from_means(law, grid, q, end):
+    """Return a problem with these cell means at t = 0, and nine saved times."""
+    W = np.append(0.0, grid.dx * np.cumsum(q))
+    return hj.Problem(law, hj.profile(lambda x: x + np.interp(x, grid.nodes, W)), end=end, snapshots=9)
