@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hjprofile.errors import RunError
 from hjprofile.problem import Problem
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
@@ -32,10 +31,11 @@ NEAR = 5.0  # distance to a kink, in cells of the coarse run, below which q is n
 WIDTH = 4.0  # the same for the change of q across a point
 STEEP = 0.1  # largest change of q across 2 WIDTH cells, relative to the range of q
 
+INVARIANT = "invariant"
 WORDS = {
     "flux_on_characteristics": ("(2.11)", "dF/dt = (k_t/k) F along characteristics"),
     "q_on_characteristics": ("(2.12), (3.13)", "dq/dt = -k_x f(q) along characteristics"),
-    "invariant": ("(3.15)", "W + R(q) is constant along characteristics"),
+    INVARIANT: ("(3.15)", "W + R(q) is constant along characteristics"),
 }
 
 
@@ -63,6 +63,7 @@ class Characteristics(NamedTuple):
             (times, characteristics).
         allowances: statement -> SAFETY times the estimated error of a defect.
         kinks: paths of the kinks of the run.
+        reason: the reason why no characteristic was followed, or "".
     """
 
     time: Array
@@ -70,11 +71,7 @@ class Characteristics(NamedTuple):
     defects: dict[str, Array]
     allowances: dict[str, float]
     kinks: dict[int, KinkPath]
-
-    @property
-    def followed(self) -> bool:
-        """True if any characteristic was resolved at two times."""
-        return bool((np.isfinite(self.values.x).sum(axis=0) > 1).any())
+    reason: str = ""
 
     def rows(self) -> list[tuple[float, ...]]:
         """Return the rows of a table: the number of a characteristic, the time, and the values."""
@@ -90,26 +87,27 @@ COLUMNS = "characteristic", "time", *Values._fields
 
 
 def follow(problem: Problem, grid: Grid, progress: Callable[[float], None] | None = None) -> Characteristics:
-    """Follow characteristics of a problem backwards from several times. Raise RunError if a run stops."""
-    fine = solved(problem, grid)
-    if progress:
-        progress(0.6)
-    coarse = solved(problem, Grid(grid.left, max(grid.cells // 2, 2)))
-    if progress:
-        progress(0.9)
-    found = along(problem, fine, coarse)
-    if progress:
-        progress(1.0)
-    return found
+    """Follow characteristics of a problem backwards from several times."""
+    runs = []
+    for part, cells in enumerate((grid.cells, max(grid.cells // 2, 2)), start=1):
+        run = solved(problem, Grid(grid.left, cells))
+        if not run.done:
+            return _none(f"the method {METHOD} {run.status}")
+        runs.append(run)
+        if progress:
+            progress(0.5 * part)
+    return along(problem, *runs)
+
+
+def _none(reason: str) -> Characteristics:
+    """Return no characteristics, for this reason."""
+    return Characteristics(np.empty(0), Values(*(np.empty((0, 0)) for _ in Values._fields)), {}, {}, {}, reason)
 
 
 def solved(problem: Problem, grid: Grid) -> Run:
     """Return the run of METHOD at TIMES even times."""
     times = np.linspace(0.0, problem.end, TIMES).tolist()
-    run = solve_with(find_method(METHOD), replace(problem, snapshots=times), grid)
-    if not run.done:
-        raise RunError(f"{METHOD}: {run.status}")
-    return run
+    return solve_with(find_method(METHOD), replace(problem, snapshots=times), grid)
 
 
 def along(problem: Problem, fine: Run, coarse: Run) -> Characteristics:
@@ -117,6 +115,8 @@ def along(problem: Problem, fine: Run, coarse: Run) -> Characteristics:
     law, nonlocal_ = problem.law, problem.coefficient is None
     ends, kinks = _ends(fine), kink_paths(fine)
     x = _while_resolved(trace_back(fine, law, ends), fine, kinks, float(coarse.x[1] - coarse.x[0]))
+    if not (np.isfinite(x).sum(axis=0) > 1).any():
+        return _none("no characteristic is far enough from kinks on this grid; use more cells")
     values, defects = _defects(fine, law, x, nonlocal_)
     _, on_half = _defects(coarse, law, trace_back(coarse, law, ends), nonlocal_)
     every = replace(fine, time=fine.time[::2], u=fine.u[::2], q=fine.q[::2], K=fine.K[::2])
@@ -189,7 +189,7 @@ def _defects(run: Run, law: ErosionLaw, x: Array, nonlocal_: bool) -> tuple[Valu
         "q_on_characteristics": np.diff(q, axis=0) - 0.5 * steps * (rate[1:] + rate[:-1]),
     }
     if nonlocal_:
-        defects["invariant"] = np.diff(I, axis=0)
+        defects[INVARIANT] = np.diff(I, axis=0)
     return Values(x, q, K, F, W, I), {name: _from_the_end(x, part) for name, part in defects.items()}
 
 

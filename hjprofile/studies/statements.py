@@ -18,7 +18,7 @@ from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.ranges import instance
 from hjprofile.solvers.method import Feature, require, requirements
-from hjprofile.studies.characteristic_statements import WORDS, Characteristics, follow
+from hjprofile.studies.characteristic_statements import INVARIANT, WORDS, Characteristics, follow
 from hjprofile.studies.statement_runs import FractionalStep, History, evolve, freeze
 from hjprofile.studies.statement_table import NONLOCAL, STATEMENTS, Series, conditions
 
@@ -145,7 +145,7 @@ def statements(problem: Problem, grid: Grid, progress: Callable[[float], None] |
 
     history, frozen = evolve(problem, grid, part(0)), freeze(problem, grid, part(1))
     characteristics = follow(problem, grid, part(2))
-    found = [*_on_the_slope(history, frozen), *_on_characteristics(characteristics)]
+    found = [*_on_the_slope(history, frozen), *_on_characteristics(characteristics, history.nonlocal_)]
     rows = tuple(row for mine, _ in found for row in mine)
     return Statements(rows, tuple(verdict for _, verdict in found), characteristics)
 
@@ -159,14 +159,12 @@ def _on_the_slope(history: History, frozen: Sequence[FractionalStep]) -> Iterato
         yield judge(statement.name, statement.equation, statement.words, series, reason)
 
 
-def _on_characteristics(found: Characteristics) -> Iterator[tuple[list[Row], Verdict]]:
+def _on_characteristics(found: Characteristics, nonlocal_: bool) -> Iterator[tuple[list[Row], Verdict]]:
     """Yield rows and verdict of each statement along characteristics, with the largest defect at each time."""
     for name, (equation, words) in WORDS.items():
-        if name not in found.defects:
+        series, reason = NO_SERIES, found.reason
+        if name == INVARIANT and not nonlocal_:
             reason = NONLOCAL
-        else:
-            reason = "" if found.followed else "no characteristic is far enough from kinks on this grid; use more cells"
-        series = NO_SERIES
         if not reason:
             defect = np.abs(found.defects[name])
             known = np.isfinite(defect).any(axis=1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.cm import ScalarMappable
@@ -17,6 +19,7 @@ from hjprofile.studies.statements import Statements
 
 COLUMNS = 4  # panels in a row
 VALUE, BOUND, VIOLATED = "#0072B2", "0.45", "#D55E00"
+TITLE = 52  # largest number of characters in a line of the title of a panel
 TOO_LARGE = 1e6  # ratio to the largest value above which a bound is not drawn
 DECADES = 50.0  # ratio of the largest to the smallest positive number above which an axis is logarithmic
 
@@ -32,7 +35,7 @@ def draw_statements(case: str, found: Statements) -> Figure:
     """Draw a panel for each statement that applies: the value and its bound over time."""
     shown = [verdict for verdict in found.verdicts if verdict.applies]
     rows = -(-len(shown) // COLUMNS)
-    figure = new_figure(12.0, 1.95 * rows + 0.5)
+    figure = new_figure(12.0, 2.05 * rows + 0.5)
     panels = figure.subplots(rows, COLUMNS, squeeze=False).flat
     for verdict, axes in zip(shown, panels, strict=False):
         mine = [row for row in found.rows if row.statement == verdict.statement]
@@ -47,7 +50,8 @@ def draw_statements(case: str, found: Statements) -> Figure:
         positive = positive[positive > 0.0]  # nor NaN
         if positive.size and positive.max() > DECADES * positive.min():
             axes.set_yscale("log")
-        axes.set_title(f"{verdict.equation}  {verdict.words}", loc="left", fontsize=6.5)
+        title = textwrap.fill(f"{verdict.equation}  {verdict.words}", TITLE)
+        axes.set_title(title, loc="left", fontsize=7, linespacing=1.0)
         if not verdict.holds:
             axes.title.set_color(VIOLATED)
         axes.tick_params(labelsize=7)
