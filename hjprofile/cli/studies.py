@@ -150,7 +150,7 @@ def statements(case: CasePath, /, *, out: Out = None, json: Json = False) -> Non
     from hjprofile.output.survey_columns import with_survey_columns
     from hjprofile.problem.grid import Grid
     from hjprofile.studies.characteristic_statements import COLUMNS
-    from hjprofile.studies.statements import CELLS, Row
+    from hjprofile.studies.statements import CELLS, StatementRow
     from hjprofile.studies.statements import statements as study
 
     folder, (loaded,) = load_cases((case,), out)
@@ -160,7 +160,7 @@ def statements(case: CasePath, /, *, out: Out = None, json: Json = False) -> Non
         found = study(loaded.problem, grid, progress)
     units = loaded.problem.profile.units
     tables = {
-        "statements.csv": to_csv(*with_survey_columns(Row._fields, found.rows, units)),
+        "statements.csv": to_csv(*with_survey_columns(StatementRow._fields, found.rows, units)),
         "characteristics.csv": to_csv(*with_survey_columns(COLUMNS, found.characteristics.rows(), units)),
     }
     files = folder.write(tables)
@@ -168,13 +168,13 @@ def statements(case: CasePath, /, *, out: Out = None, json: Json = False) -> Non
     if found["invariant"].applies:
         pictures.append(write_picture(folder, "invariant.png", invariant_picture, loaded.name, found.characteristics))
     picture = Written([f for p in pictures for f in p.files], [w for p in pictures for w in p.warnings])
-    failed = [verdict.equation for verdict in found.verdicts if not verdict.holds]
+    failed = [result.equation for result in found.results if not result.holds]
     head = f"{loaded.name}, {grid.cells} cells: value / bound where the value is largest relative to its bound"
-    say(json, "\n  ".join([head, *map(str, found.verdicts)]))
+    say(json, "\n  ".join([head, *map(str, found.results)]))
     say(json, _written(folder, files, picture))
     answer(
         json,
-        {"case": loaded.name, "passes": not failed, "statements": [v._asdict() for v in found.verdicts]}
+        {"case": loaded.name, "passes": not failed, "statements": [v._asdict() for v in found.results]}
         | {"files": files + picture.files},
     )
     if failed:

@@ -189,6 +189,14 @@ def _steps(steppers: Sequence[_Stepper], t: float, target: float) -> Iterator[tu
         yield dt, t
 
 
+def _stops(steppers: Sequence[_Stepper], t: float, target: float, between: float) -> Iterator[tuple[float, float]]:
+    """Advance as `_steps`, and hit the time `between` exactly if it lies before `target`."""
+    if t < between < target:
+        yield from _steps(steppers, t, between)
+        t = between
+    yield from _steps(steppers, t, target)
+
+
 class _Sums:
     """Sums over time steps, and products of growth factors; each attribute is the value so far.
 
@@ -271,24 +279,21 @@ def evolve(problem: Problem, grid: Grid, progress: Callable[[float], None] | Non
         steppers += [_Stepper(problem, grid, SECOND) for _ in range(1 + nonlocal_)]  # the second, the middle
     shift = max(1, grid.cells // SHIFTS)
     targets = np.linspace(0.0, problem.end, MOMENTS)
-    saved, table, t = [], [], 0.0
+    saved, table = [], []
     with _failures_stated(grid):
         _evaluate(steppers, 0.0)
         q, k = steppers[0].q, steppers[0].k
         sums = _Sums(problem.law, inflow, grid.dx, shift, q, k)
         local = local_bounds(problem.law, q, grid.dx, problem.end) if nonlocal_ and not inflow else None
-        for target in targets.tolist():
-            stops = [local.end, target] if local and t < local.end < target else [target]
-            for stop in stops:
-                for dt, after in _steps(steppers, t, stop):
-                    _add(sums, dt, steppers, after)
-                    if local and after <= local.end:
-                        local = local.seen(steppers[0].q)
-                t = stop
+        for start, target in zip([0.0, *targets.tolist()[:-1]], targets.tolist(), strict=True):
+            for dt, t in _stops(steppers, start, target, local.end if local else target):
+                _add(sums, dt, steppers, t)
+                if local and t <= local.end:
+                    local = local.seen(steppers[0].q)
             saved.append(_state(steppers))
             table.append(sums.row())
             if progress:
-                progress(t / problem.end)
+                progress(target / problem.end)
     q, k, q2, k2, middle = (np.array(rows) for rows in zip(*saved, strict=True))
     columns = dict(zip(_Sums.NAMES, np.array(table).T, strict=True))
     return History(

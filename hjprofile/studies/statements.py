@@ -28,7 +28,7 @@ ROUNDING = 1e-10  # excess of a value over its bound that counts as rounding, re
 SHARES = 0.7, 0.1, 0.2  # of the work: the history, the frozen intervals, the characteristics
 
 
-class Row(NamedTuple):
+class StatementRow(NamedTuple):
     """One statement at one time: `value` <= `bound`, except for rounding.
 
     Attributes:
@@ -55,7 +55,7 @@ class Row(NamedTuple):
         return self.value / self.bound if self.bound else float(np.copysign(np.inf, self.value))
 
 
-class Verdict(NamedTuple):
+class StatementResult(NamedTuple):
     """The result for one statement over all its times.
 
     Attributes:
@@ -90,22 +90,22 @@ class Statements:
 
     Attributes:
         rows: all values and bounds, by statement and time.
-        verdicts: one for each statement.
+        results: one for each statement.
         characteristics: the characteristics that were followed, as a table.
     """
 
-    rows: tuple[Row, ...]
-    verdicts: tuple[Verdict, ...]
+    rows: tuple[StatementRow, ...]
+    results: tuple[StatementResult, ...]
     characteristics: Characteristics
 
     @property
     def holds(self) -> bool:
         """True if no statement is violated."""
-        return all(verdict.holds for verdict in self.verdicts)
+        return all(result.holds for result in self.results)
 
-    def __getitem__(self, statement: str) -> Verdict:
-        """Return the verdict of the statement with this name."""
-        return next(verdict for verdict in self.verdicts if verdict.statement == statement)
+    def __getitem__(self, statement: str) -> StatementResult:
+        """Return the result of the statement with this name."""
+        return next(result for result in self.results if result.statement == statement)
 
 
 def statements(problem: Problem, grid: Grid, progress: Callable[[float], None] | None = None) -> Statements:
@@ -120,7 +120,7 @@ def statements(problem: Problem, grid: Grid, progress: Callable[[float], None] |
         progress: a function that is called with the completed fraction in [0, 1].
 
     Returns:
-        The values and bounds of each statement, a verdict for each, and the characteristics.
+        The values and bounds of each statement, a result for each, and the characteristics.
 
     Raises:
         InputError: for a rolling layer, a law of linear growth, the whole line, or an end at 0.
@@ -147,11 +147,13 @@ def statements(problem: Problem, grid: Grid, progress: Callable[[float], None] |
     characteristics = follow(problem, grid, part(2))
     found = [*_on_the_slope(history, frozen), *_on_characteristics(characteristics, history.nonlocal_)]
     rows = tuple(row for mine, _ in found for row in mine)
-    return Statements(rows, tuple(verdict for _, verdict in found), characteristics)
+    return Statements(rows, tuple(result for _, result in found), characteristics)
 
 
-def _on_the_slope(history: History, frozen: Sequence[FractionalStep]) -> Iterator[tuple[list[Row], Verdict]]:
-    """Yield rows and verdict of each statement on a state at a time."""
+def _on_the_slope(
+    history: History, frozen: Sequence[FractionalStep]
+) -> Iterator[tuple[list[StatementRow], StatementResult]]:
+    """Yield rows and result of each statement on a state at a time."""
     missing = conditions(history)
     for statement in STATEMENTS:
         reason = next((need for need in statement.needs if need in missing), "")
@@ -159,8 +161,10 @@ def _on_the_slope(history: History, frozen: Sequence[FractionalStep]) -> Iterato
         yield judge(statement.name, statement.equation, statement.words, series, reason)
 
 
-def _on_characteristics(found: Characteristics, nonlocal_: bool) -> Iterator[tuple[list[Row], Verdict]]:
-    """Yield rows and verdict of each statement along characteristics, with the largest defect at each time."""
+def _on_characteristics(
+    found: Characteristics, nonlocal_: bool
+) -> Iterator[tuple[list[StatementRow], StatementResult]]:
+    """Yield rows and result of each statement along characteristics, with the largest defect at each time."""
     for name, (equation, words) in WORDS.items():
         series, reason = NO_SERIES, found.reason
         if name == INVARIANT and not nonlocal_:
@@ -173,10 +177,12 @@ def _on_characteristics(found: Characteristics, nonlocal_: bool) -> Iterator[tup
         yield judge(name, equation, words, series, reason)
 
 
-def judge(name: str, equation: str, words: str, series: Series, reason: str) -> tuple[list[Row], Verdict]:
-    """Return the rows and the verdict of one statement; a reason means that it does not apply."""
-    rows = [Row(name, equation, float(t), float(v), float(b)) for t, v, b in zip(*series, strict=True)]
+def judge(
+    name: str, equation: str, words: str, series: Series, reason: str
+) -> tuple[list[StatementRow], StatementResult]:
+    """Return the rows and the result of one statement; a reason means that it does not apply."""
+    rows = [StatementRow(name, equation, float(t), float(v), float(b)) for t, v, b in zip(*series, strict=True)]
     if not rows:
-        return rows, Verdict(name, equation, words, False, True, np.nan, np.nan, np.nan, reason)
+        return rows, StatementResult(name, equation, words, False, True, np.nan, np.nan, np.nan, reason)
     worst = max(rows, key=lambda row: (not row.holds, row.share))
-    return rows, Verdict(name, equation, words, True, worst.holds, worst.time, worst.value, worst.bound, "")
+    return rows, StatementResult(name, equation, words, True, worst.holds, worst.time, worst.value, worst.bound, "")

