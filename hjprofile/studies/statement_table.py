@@ -260,11 +260,11 @@ def _variation_of_slope(h: History, _: Sequence[FractionalStep]) -> Series:
 
 
 STATEMENTS: tuple[Statement, ...] = (
-    Statement("q_in_time", "H1", "‖q(t) - q(s)‖₁ <= ∫ TV(F) dt", (), _continuity),
+    Statement("q_in_time", "H1", "‖q(t) - q(t₀)‖₁ <= ∫ TV(F) dt", (), _continuity),
     Statement("frozen_maximum", "(2.6)", "sup|F| <= sup|F(t_n)|, k frozen", (), _frozen_maximum),
     Statement("frozen_variation", "(2.7)", "TV(F) <= TV(F(t_n)), k frozen", (), _frozen_variation),
-    Statement("k_in_time", "(2.9)", "sup|k(t) - k(s)|/|t - s| <= L", (), _k_in_time),
-    Statement("k_x_in_time", "(2.10)", "TV(k(t) - k(s))/|t - s| <= L₁", (), _slope_of_k_in_time),
+    Statement("k_in_time", "(2.9)", "sup|k(t) - k(t₀)|/|t - t₀| <= L", (), _k_in_time),
+    Statement("k_x_in_time", "(2.10)", "TV(k(t) - k(t₀))/|t - t₀| <= L₁", (), _slope_of_k_in_time),
     Statement("flux_growth", "(2.13), (2.14)", "sup|F(t)| <= sup|F(0)| exp ∫ sup|k_t/k| dt", (), _flux_growth),
     Statement(
         "flux_growth_frozen", "(2.15)", "sup|F(t)| <= sup|F(0)| ∏ (1 + sup|Δk/k|), k frozen", (), _flux_growth_frozen
@@ -298,8 +298,8 @@ STATEMENTS: tuple[Statement, ...] = (
     Statement("supremum", "(A.1)", "sup|q| <= C₀", (CLOSED,), _sup_of_q),
     Statement("supremum_of_f", "(A.2)", "sup|f(q)| <= max(|f(C₀)|, |f(κ₀)|)", (CLOSED,), _sup_of_f),
     Statement("l1_of_f", "(A.3)", "‖f(q)‖₁ <= f'(κ) ‖q‖₁", (), _l1_of_f),
-    Statement("f_in_time", "(A.4)", "‖f(q(t)) - f(q(s))‖₁ <= f'(κ) ∫ TV(F) dt", (), _f_in_time),
-    Statement("K_in_time", "(A.5)", "sup|K(t) - K(s)| <= sup K ‖f(q(t)) - f(q(s))‖₁", (NONLOCAL,), _K_in_time),
+    Statement("f_in_time", "(A.4)", "‖f(q(t)) - f(q(t₀))‖₁ <= f'(κ) ∫ TV(F) dt", (), _f_in_time),
+    Statement("K_in_time", "(A.5)", "sup|K(t) - K(t₀)| <= sup K ‖f(q(t)) - f(q(t₀))‖₁", (NONLOCAL,), _K_in_time),
     Statement("slope_of_K", "(A.6)", "sup|K_x| <= sup K|f(q)|", (NONLOCAL,), _slope_of_K),
     Statement(
         "variation_of_K_x", "after (A.6)", "TV(K_x) <= TV(K) sup|f(q)| + sup K TV(f(q))", (NONLOCAL, CLOSED),
