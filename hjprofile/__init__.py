@@ -52,6 +52,8 @@ if TYPE_CHECKING:
     from hjprofile.studies.consistency import check as check
     from hjprofile.studies.consistency import check_consistency as check_consistency
     from hjprofile.studies.slow_erosion import slow_erosion as slow_erosion
+    from hjprofile.studies.statements import Statements as Statements
+    from hjprofile.studies.statements import statements as statements
     from hjprofile.studies.verdict import Consistency as Consistency
 
 _MODULES = {
@@ -61,6 +63,7 @@ _MODULES = {
     "studies.chart": ("chart",),
     "studies.consistency": ("check", "check_consistency"),
     "studies.slow_erosion": ("slow_erosion",),
+    "studies.statements": ("Statements", "statements"),
     "studies.verdict": ("Consistency",),
     "output.store": ("load_run", "write_run"),
     "output.sweep_results": ("sweep",),

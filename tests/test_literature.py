@@ -12,8 +12,11 @@ import hjprofile as hj
 from hjprofile.cli import main
 from hjprofile.cli.common import app
 from hjprofile.solvers.grids.bounds_monitor import MONOTONE
+from hjprofile.studies.characteristic_statements import WORDS
+from hjprofile.studies.statement_table import STATEMENTS
 
 ROOT = Path(__file__).parents[1]
+STATEMENT_NAMES = {*(statement.name for statement in STATEMENTS), *WORDS}
 DOCS = ROOT / "docs"
 REFERENCES = (DOCS / "references.md").read_text(encoding="utf-8")
 PAPER = (DOCS / "paper.md").read_text(encoding="utf-8")
@@ -135,11 +138,23 @@ def test_commands_and_options_exist():
         assert not arguments or arguments[0] in shipped, command
 
 
+def test_every_evaluated_statement_is_in_its_row():
+    """A statement with a number is named in the row of that number, and each row names statements that exist."""
+    evaluated = {row[0]: row[2] + row[3] for row in rows() if "hjprofile statements CASE" in row[2]}
+    named = set(re.findall(r"statements CASE`, `(\w+)`", " ".join(evaluated.values())))
+    assert named <= STATEMENT_NAMES
+    of_name = {s.name: s.equation for s in STATEMENTS} | {name: equation for name, (equation, _) in WORDS.items()}
+    for name, equation in of_name.items():
+        for number in re.findall(r"^\([\dA]\.\d+\)|(?<=, )\([\dA]\.\d+\)", equation):
+            assert f"`{name}`" in evaluated[number], (name, number)
+    assert {f"`{name}`" for name in STATEMENT_NAMES} <= set(re.findall(r"`\w+`", PAPER))
+
+
 def test_names_of_the_guide_exist():
     """Monitors, functions, scripts and sections of a case that the guide names are those of the package."""
     package = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "hjprofile").rglob("*.py"))
     monitors = set(re.findall(r"`(\w+_\w+|signs|kruzkov)`", " ".join(row[2] for row in rows())))
-    monitors -= {"rankine_hugoniot_speed"}
+    monitors -= {"rankine_hugoniot_speed", *STATEMENT_NAMES}
     assert monitors == set(MONOTONE), monitors ^ set(MONOTONE)
     for function in re.findall(r"`hj\.(\w+)`", PAPER + REFERENCES):
         assert function in hj.__all__, function

@@ -1,4 +1,4 @@
-"""The commands for studies: check, chart, stability, dependence."""
+"""The commands for studies: check, chart, stability, dependence, statements."""
 
 from __future__ import annotations
 
@@ -136,6 +136,49 @@ def dependence(case: CasePath, /, *, out: Out = None, json: Json = False) -> Non
     )
     if failed:
         raise RunError(f"{loaded.source}: {failed}")
+
+
+@app.command
+def statements(case: CasePath, /, *, out: Out = None, json: Json = False) -> None:
+    """Evaluate the statements of the source paper, with computed constants, on one case.
+
+    Writes statements.csv, characteristics.csv, statements.png and invariant.png. The exit code is 1 if a statement is
+    violated.
+    """
+    from hjprofile.output.plots.statement_pictures import invariant_picture, statements_picture
+    from hjprofile.output.store import Written, to_csv, write_picture
+    from hjprofile.output.survey_columns import with_survey_columns
+    from hjprofile.problem.grid import Grid
+    from hjprofile.studies.characteristic_statements import COLUMNS
+    from hjprofile.studies.statements import CELLS, StatementRow
+    from hjprofile.studies.statements import statements as study
+
+    folder, (loaded,) = load_cases((case,), out)
+    folder.open()
+    grid = Grid(loaded.grid.left, min(loaded.grid.cells, CELLS), loaded.grid.right)
+    with Progress(f"evaluating {loaded.name}") as progress:
+        found = study(loaded.problem, grid, progress)
+    units = loaded.problem.profile.units
+    tables = {
+        "statements.csv": to_csv(*with_survey_columns(StatementRow._fields, found.rows, units)),
+        "characteristics.csv": to_csv(*with_survey_columns(COLUMNS, found.characteristics.rows(), units)),
+    }
+    files = folder.write(tables)
+    pictures = [write_picture(folder, "statements.png", statements_picture, loaded.name, found)]
+    if found["invariant"].applies:
+        pictures.append(write_picture(folder, "invariant.png", invariant_picture, loaded.name, found.characteristics))
+    picture = Written([f for p in pictures for f in p.files], [w for p in pictures for w in p.warnings])
+    failed = [result.equation for result in found.results if not result.holds]
+    head = f"{loaded.name}, {grid.cells} cells: value / bound where the value is largest relative to its bound"
+    say(json, "\n  ".join([head, *map(str, found.results)]))
+    say(json, _written(folder, files, picture))
+    answer(
+        json,
+        {"case": loaded.name, "passes": not failed, "statements": [v._asdict() for v in found.results]}
+        | {"files": files + picture.files},
+    )
+    if failed:
+        raise RunError(f"{loaded.source}: violated statements: {', '.join(failed)}")
 
 
 def _written(folder: ResultFolder, files: list[Path], picture: Written) -> str:

@@ -27,7 +27,7 @@ from hjprofile.problem.case import load_case
 from hjprofile.problem.case_files import shipped_cases
 from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.solve import solve_case
-from hjprofile.studies import dependence
+from hjprofile.studies import dependence, statement_table, statements
 from hjprofile.studies import stability as study
 from hjprofile.studies.chart import Point, Reference
 
@@ -41,8 +41,8 @@ SCENE = {
 BARE = {"output": {"vtk": False, "plots": False}}
 DRAWN = [f"{name}.{form}" for name in ("profile", "diagram", "factor") for form in ("png", "svg")]
 COMMANDS = (
-    "run", "check", "chart", "stability", "dependence", "sweep", "fit", "plot", "compare", "animate", "export", "cases",
-    "explain", "import")  # fmt: skip
+    "run", "check", "chart", "stability", "dependence", "statements", "sweep", "fit", "plot", "compare", "animate",
+    "export", "cases", "explain", "import")  # fmt: skip
 
 
 def write_case(folder, name="scene", **changes):
@@ -240,6 +240,44 @@ def test_dependence_writes_its_table_and_picture(folder, call, monkeypatch):
     monkeypatch.setattr(dependence, "distance_bound", lambda *pair: 0.1 * honest(*pair))
     code, _, err = call("dependence", "bare.toml")
     assert code == 1 and "times its bound" in err
+
+
+def test_statements_writes_its_tables_and_pictures(folder, call, monkeypatch):
+    code, out, err = call("statements", "bare.toml")
+    assert (code, err) == (0, "")
+    lines = out.splitlines()
+    assert lines[0].startswith("bare, 160 cells: ") and len(lines) == 2 + len(statement_table.STATEMENTS) + 3
+    assert lines[1].split()[0] == "H1" and re.search(r"holds  \S+ / \S+ at t = ", lines[1])
+    (negative,) = [line for line in lines if "(3.6)" in line]
+    assert negative.endswith("not applicable: q is nowhere negative at t = 0")
+    names = ["statements.csv", "characteristics.csv", "statements.png", "invariant.png"]
+    assert lines[-1].endswith("results/bare: " + ", ".join(names))
+    rows = list(csv.DictReader(Path("results/bare/statements.csv").read_text().splitlines()))
+    assert list(rows[0]) == ["statement", "equation", "time", "value", "bound"]
+    assert {"H1", "(2.14)", "(3.24)", "(A.5)"} < {name for row in rows for name in row["equation"].split(", ")}
+    rows = list(csv.DictReader(Path("results/bare/characteristics.csv").read_text().splitlines()))
+    assert list(rows[0]) == ["characteristic", "time", "x", "q", "K", "F", "W", "I"]
+    assert all(Path("results/bare", name).read_bytes().startswith(b"\x89PNG") for name in names[2:])
+    monkeypatch.setattr(statement_table, "_domain", lambda history: (1e-3, 0.0))
+    code, out, err = call("statements", "bare.toml")
+    assert code == 1 and "violated statements: (A.1), (A.2)" in err and len(re.findall("FAILS", out)) == 2
+
+
+def test_statements_on_a_survey_and_with_a_coefficient(folder, call, monkeypatch):
+    monkeypatch.setattr(statements, "CELLS", 150)
+    code, out, err = call("statements", "drying_channel", "--out", "channel")
+    assert (code, err) == (0, "") and "drying_channel, 150 cells" in out
+    assert sorted(p.name for p in Path("channel").glob("*.png")) == ["statements.png"]  # no invariant
+    rows = list(csv.DictReader(Path("channel/characteristics.csv").read_text().splitlines()))
+    assert rows and {row["I"] for row in rows} == {""}
+    code, _, err = call("statements", "hillslope", "--out", "survey")
+    assert (code, err) == (0, "")
+    units = load_case("hillslope").problem.profile.units
+    for name in ("statements.csv", "characteristics.csv"):
+        rows = list(csv.DictReader(Path("survey", name).read_text().splitlines()))
+        last = rows[-1]
+        assert float(last["time_survey"]) == pytest.approx(units.volume * float(last["time"]))
+    assert float(last["x_survey"]) == pytest.approx(float(units.x(float(last["x"]))))
 
 
 def test_a_resumed_run_says_so(folder, call):

@@ -130,6 +130,15 @@ def test_chart_stability_and_dependence(scene, ask, monkeypatch):
     assert document["passes"] is True and [line.split()[0] for line in document["found"]][:2] == ["data", "zero"]
 
 
+def test_statements(scene, ask):
+    document = ask("statements", "scene.toml")
+    first = document["statements"][0]
+    assert document["passes"] is True and first["statement"] == "q_in_time" and first["equation"] == "H1"
+    assert first["holds"] is True and 0.0 < first["value"] <= first["bound"] and first["reason"] == ""
+    (away,) = [s for s in document["statements"] if s["statement"] == "infimum_of_q"]
+    assert away["applies"] is False and away["value"] is None and away["reason"]
+
+
 def test_every_command_has_it(call):
     from hjprofile.cli.common import app
 

@@ -66,7 +66,8 @@ def test_two_cases_of_one_name_do_not_share_a_folder(in_tmp, call, stand_ins):
     fill(call, write_case("a/case.toml"))
     before = {name: Path("results/case", name).read_bytes() for name in names("results/case")}
     write_case("b/case.toml", time={"end": 0.2, "snapshots": 2})
-    for command in (["run"], ["check"], ["stability"], ["dependence"], ["chart"], ["sweep", "--vary", "time.end=1"]):
+    studies = (["check"], ["stability"], ["dependence"], ["statements"], ["chart"])
+    for command in (["run"], *studies, ["sweep", "--vary", "time.end=1"]):
         code, out, err = call(command[0], "b/case.toml", *command[1:])
         assert (code, out, err.count("\n")) == (2, "", 1) and "results/case belongs to " in err and "--out" in err
         assert str(in_tmp / "a/case.toml") in err and str(in_tmp / "b/case.toml") in err

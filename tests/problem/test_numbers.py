@@ -145,6 +145,7 @@ CALLS |= {
     "fit.sigma": lambda v: hj.fit("hillslope", [0.0], [0.0], ["time.end"], v),
     "stability": lambda v: stability("", v, GRID),
     "dependence": lambda v: dependence("", v, GRID),
+    "statements": lambda v: hj.statements(v, GRID),
     "fractional_steps": lambda v: fractional_steps(problem(), GRID, "godunov", [v]),
     "animation": lambda v: animation(None, ".gif", v),
 }
