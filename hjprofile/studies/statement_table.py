@@ -120,8 +120,7 @@ def _slope_of_k_in_time(h: History, _: Sequence[FractionalStep]) -> Series:
 
 def _flux_growth(h: History, _: Sequence[FractionalStep]) -> Series:
     F = maximum(h.F)
-    with np.errstate(over="ignore"):
-        return _later(h.time, F, F[0] * np.exp(h.sums["rate"]))
+    return _later(h.time, F, F[0] * np.exp(h.sums["rate"]))
 
 
 def _flux_growth_frozen(_: History, steps: Sequence[FractionalStep]) -> Series:

@@ -157,7 +157,8 @@ def _on_the_slope(
     missing = conditions(history)
     for statement in STATEMENTS:
         reason = next((need for need in statement.needs if need in missing), "")
-        series = NO_SERIES if reason else statement.series(history, frozen)
+        with np.errstate(over="ignore", divide="ignore"):  # a bound may be infinite
+            series = NO_SERIES if reason else statement.series(history, frozen)
         yield judge(statement.name, statement.equation, statement.words, series, reason)
 
 

@@ -267,8 +267,8 @@ def test_a_scheme_with_another_coefficient_is_reported(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def pair_of_runs():
-    return along.solved(BUMPS, hj.Grid(-10.0, 500)), along.solved(BUMPS, hj.Grid(-10.0, 250))
+def three_runs():
+    return [along.solved(BUMPS, hj.Grid(-10.0, cells)) for cells in (600, 300, 150)]
 
 
 def failing(found):
@@ -285,18 +285,18 @@ def failing(found):
         (lambda run: replace(run, u=2.0 * run.x - run.u), ["invariant"]),  # the sign of W
     ],
 )
-def test_a_wrong_run_violates_the_statements_along_its_characteristics(pair_of_runs, fault, fails):
-    assert sorted(failing(along.along(BUMPS, *map(fault, pair_of_runs)))) == sorted(fails)
+def test_a_wrong_run_violates_the_statements_along_its_characteristics(three_runs, fault, fails):
+    assert sorted(failing(along.along(BUMPS, *map(fault, three_runs)))) == sorted(fails)
 
 
 def test_defects_and_allowances_decrease_with_refinement():
-    """From 250 to 1000 cells the defects decrease 13- to 14-fold, their allowances 8- to 9-fold (measured)."""
+    """From 250 to 1000 cells the defects decrease 13- to 14-fold, their allowances 5- to 6-fold (measured)."""
     smooth = replace(BUMPS, end=0.5)  # before kinks form
     coarse, fine = (along.follow(smooth, hj.Grid(-10.0, cells)) for cells in (250, 1000))
     for name in ON_CHARACTERISTICS:
         defects = [np.nanmax(np.abs(found.defects[name])) for found in (coarse, fine)]
         assert defects[1] < defects[0] / 8.0
-        assert fine.allowances[name] < coarse.allowances[name] / 6.0
+        assert fine.allowances[name] < coarse.allowances[name] / 4.0
 
 
 def test_characteristics_are_those_of_the_equation():
