@@ -21,9 +21,10 @@ from hjprofile.studies.statements import Statements
 
 COLUMNS = 4  # panels in a row
 VALUE, BOUND, VIOLATED = "#0072B2", "0.45", "#D55E00"
-TITLE = 52  # largest number of characters in a line of the title of a panel
+TITLE = 44  # largest number of characters in a line of the title of a panel
 TOO_LARGE = 1e6  # ratio to the largest value above which a bound is not drawn
-DECADES = 50.0  # ratio of the largest to the smallest positive number above which an axis is logarithmic
+LOGARITHMIC = 50.0  # ratio of the largest to the smallest positive number above which an axis is logarithmic
+LOWEST = 1e-6  # fraction of the largest number at which a logarithmic axis begins; q that has left is smaller still
 
 
 @style.defaults
@@ -37,10 +38,10 @@ def draw_statements(case: str, found: Statements) -> Figure:
     """Draw a panel for each statement that applies: the value and its bound over time."""
     shown = [result for result in found.results if result.applies]
     rows = -(-len(shown) // COLUMNS)
-    height = 2.1 * rows + 0.9
+    height = 2.2 * rows + 0.9
     figure = Figure(figsize=(12.0, height))  # fixed margins, because a computation of them takes seconds
     FigureCanvasAgg(figure)
-    figure.subplots_adjust(0.045, 0.45 / height, 0.985, 1.0 - 0.8 / height, 0.22, 0.52)
+    figure.subplots_adjust(0.045, 0.45 / height, 0.985, 1.0 - 0.85 / height, 0.22, 0.6)
     panels = figure.subplots(rows, COLUMNS, squeeze=False).flat
     for result, axes in zip(shown, panels, strict=False):
         mine = [row for row in found.rows if row.statement == result.statement]
@@ -53,8 +54,9 @@ def draw_statements(case: str, found: Statements) -> Figure:
         axes.plot(t[bad], value[bad], "x", color=VIOLATED, ms=4)
         positive = np.concatenate([value, bound])
         positive = positive[positive > 0.0]  # nor NaN
-        if positive.size and positive.max() > DECADES * positive.min():
+        if positive.size and positive.max() > LOGARITHMIC * positive.min():
             axes.set_yscale("log")
+            axes.set_ylim(max(0.5 * positive.min(), LOWEST * positive.max()), 2.0 * positive.max())
             axes.yaxis.set_minor_locator(NullLocator())
         title = textwrap.fill(f"{result.equation}  {result.words}", TITLE)
         axes.set_title(title, loc="left", fontsize=7, linespacing=1.0)
