@@ -31,7 +31,7 @@ MAKES: dict[str, tuple[int, tuple[str, ...]]] = {
     "paper_coefficient.py": (6, ("coefficient.png", "fractional.png")),
     "paper_dependence.py": (26, ("dependence.png", "lipschitz.png")),
     "paper_bounds.py": (6, ("global_bounds.png",)),
-    "paper_line.py": (7, ("whole_line.png",)),
+    "paper_line.py": (160, ("whole_line.png", "wave_stability.png")),
     "paper_growth.py": (84, ("vertical_step.png",)),
     "sweep_figure.py": (354, ("sweep.png",)),
     "calibration_figure.py": (787, ("fit.png",)),

@@ -1,5 +1,6 @@
-"""docs/figures/whole_line.png, and numbers of §10: `python tests/benchmarks/paper_line.py`."""
+"""docs/figures/whole_line.png, wave_stability.png, and numbers of §10: `python tests/benchmarks/paper_line.py`."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,29 @@ from matplotlib.figure import Figure
 import hjprofile as hj
 from hjprofile.solvers.closed_forms import closed_form
 
-FIGURE = Path(__file__).parents[2] / "docs" / "figures" / "whole_line.png"
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
+
+from travelling_waves import distances, excess, excess_by_invariant, kinks, smooth, wave_with_bump
+
+FIGURES = Path(__file__).parents[2] / "docs" / "figures"
 GRID = hj.Grid(-8.0, 2000, right=6.0)
 BLUE, RED = "#0072B2", "#D55E00"
+MASS = 1.5  # of every perturbed wave
+PERTURBED = {  # name -> profile, colour
+    "three kinks": (kinks(hj.rational(), [-3.0, -1.6, 0.0], [0.2, 0.4], MASS), BLUE),
+    "bump ahead of the kink": (wave_with_bump(hj.rational(), MASS, 1.2, 0.3), RED),
+    "hollow ahead of the kink": (wave_with_bump(hj.rational(), MASS, 1.2, -0.3), "#009E73"),
+    "bump behind the kink": (wave_with_bump(hj.rational(), MASS, -1.5, 0.5), "#CC79A7"),
+    "hollow behind the kink": (wave_with_bump(hj.rational(), MASS, -1.5, -0.5), "#E69F00"),
+}
+SMOOTH = {  # name -> law, decay b, colour
+    "rational, b = 20": (hj.rational(), 20.0, BLUE),
+    "rational, b = 0.6": (hj.rational(), 0.6, RED),
+    "log, b = 20": (hj.log(), 20.0, "#009E73"),
+    "log, b = 2, as the wave": (hj.log(), 2.0, "k"),
+    "power 3, b = 2": (hj.power(3.0), 2.0, "#CC79A7"),
+}
+LATE = (2.5, 5.0, 10.0, 20.0, 40.0, 80.0)
 
 
 def problem_of(profile, end, snapshots, line="whole"):
@@ -34,6 +55,57 @@ def table():
             off = [grid.dx * np.abs(run.u[i] - exact.u(t, run.x)).sum() for i, t in enumerate(run.time)]
             errors.append(np.mean(off))
         print(f"{name}: {errors[2]:.2g} on 2000 cells, order {hj.observed_order(cells, errors):.2f}")
+
+
+def by_both(law, profile, times, grid):
+    """Yield the runs by fronts and by `conservative`."""
+    problem = hj.Problem(law, profile, end=times[-1], snapshots=list(times), line="whole")
+    for method in ("fronts", "conservative"):
+        run = hj.track_fronts(problem, grid, 3000) if method == "fronts" else hj.solve_conservative(problem, grid)
+        assert run.done
+        yield method, run
+
+
+def wave_stability():
+    """Draw the distance from the wave for perturbations of bounded extent, and the rate for smooth data."""
+    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2)
+    times = np.linspace(0.0, 8.0, 81)
+    for name, (profile, colour) in PERTURBED.items():
+        for method, run in by_both(hj.rational(), profile, times, hj.Grid(-4.0, 4000, right=29.0)):
+            in_q, in_u = distances(hj.rational(), MASS, run)
+            fronts = method == "fronts"
+            left.semilogy(times, in_q, color=colour, lw=1.4 if fronts else 0.8, ls="-" if fronts else ":",
+                          label=name if fronts else None)  # fmt: skip
+            gone = times[np.flatnonzero(in_q > 0.01)[-1] + 1]
+            print(f"{name}, {method}: at t = 0 {in_q[0]:.3f}, {in_u[0]:.3f}; below 0.01 from t = {gone:.1f} on; "
+                  f"at the end {in_q[-1]:.1e}, {in_u[-1]:.1e}")  # fmt: skip
+    left.set(xlabel="t: supplied mass of grains", ylabel="‖q - q_wave‖₁, minimum over shifts", ylim=(1e-7, 2.0))
+    left.set_title("rational law: gone in finite time (dotted: conservative)", fontsize=9, loc="left")
+    for name, (law, b, colour) in SMOOTH.items():
+        grid = hj.Grid(-2.0, 8000, right=80.0 * float(law.derivative(np.array(0.0))) + 30.0 / min(b, 1.0))
+        for method, run in by_both(law, smooth(MASS, b), LATE, grid):
+            found = np.abs(excess(law, MASS, run))
+            in_q, in_u = distances(law, MASS, run)
+            fill = colour if method == "fronts" else "none"
+            right.loglog(LATE, found, "o", color=colour, mfc=fill, ms=4 if method == "fronts" else 8)
+            print(f"{name}, {method}: t |R - R(A)| {found * LATE}")
+            print(f"    t ‖q - q_wave‖₁ {in_q * LATE}, t ‖u - u_wave‖_∞ {in_u * LATE}")
+        arrive, predicted = excess_by_invariant(
+            law, MASS, lambda x, b=b: 2 * b * MASS * np.exp(-b * x) * -np.expm1(-b * x),
+            lambda x, b=b: MASS * np.expm1(-b * x) ** 2, np.linspace(np.log(3.0), 14.0, 80) / b,
+        )  # fmt: skip
+        right.loglog(arrive, np.abs(predicted), color=colour, lw=1.0, label=name)
+        print(f"{name}, by the invariant: {np.interp(np.log(LATE), np.log(arrive), np.abs(predicted)) * LATE}")
+    right.set(
+        xlabel="t: supplied mass of grains", ylabel="|R(q⁺) - R(A)| of the kink", xlim=(2.0, 100.0), ylim=(1e-5, 3.0)
+    )
+    right.set_title("smooth data: lines from I, dots fronts, circles conservative", fontsize=9, loc="left")
+    for axes in (left, right):
+        axes.legend(fontsize=7.5, frameon=False, loc="lower left" if axes is right else "upper right")
+        axes.grid(alpha=0.25, lw=0.5)
+    figure.savefig(FIGURES / "wave_stability.png", dpi=130)
 
 
 def main():
@@ -60,7 +132,8 @@ def main():
     right.set_title("one kink: the same speed f'(0) for each amplitude", fontsize=9, loc="left")
     right.legend(fontsize=8, frameon=False, loc="lower right")
     right.grid(alpha=0.25, lw=0.5)
-    figure.savefig(FIGURE, dpi=130)
+    figure.savefig(FIGURES / "whole_line.png", dpi=130)
+    wave_stability()
     table()
 
 

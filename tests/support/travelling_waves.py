@@ -97,8 +97,11 @@ def excess_by_invariant(law, mass, q, W, labels):
     """
     R0 = float(law.R(0.0))
     at = np.array([float(W(x)) + float(law.R(q(x))) for x in labels])
-    times = [
-        R0 * quad(lambda v: float(law.R(np.exp(v))) * np.exp(-v), np.log(q(x)), np.log(slope_of(law, I)))[0]
-        for x, I in zip(labels, at, strict=True)
-    ]
+    times = [arrival(law, q(x), slope_of(law, I)) for x, I in zip(labels, at, strict=True)]
     return np.array(times), at - R0 - mass
+
+
+def arrival(law, q, amplitude):
+    """Return the time in which q on a characteristic grows to an amplitude where I is constant, R(0) ∫ R/q² dq."""
+    found = quad(lambda v: float(law.R(np.exp(v))) * np.exp(-v), np.log(q), np.log(amplitude))
+    return float(law.R(0.0)) * found[0]
