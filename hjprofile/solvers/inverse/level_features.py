@@ -47,9 +47,9 @@ def kinks_of(x: Array, u: Array, ln_K: Array) -> list[Sighting]:
             continue
         width, cells = x[b] - x[a + 1], b - a - 1
         lower = float(np.clip((width / spacing - z[b] * cells) / (z[a] - z[b]), 0.0, cells))  # cells below the kink
-        at = float(u[a + 1] + lower * spacing)
         place = min(float(x[a + 1] + z[a] * lower * spacing), 0.0)
-        found.append(Sighting(place, float(q[a]), float(q[b]), float(np.exp(np.interp(at, u, ln_K)))))
+        K = float(np.exp(np.interp(np.interp(place, x, u), u, ln_K)))
+        found.append(Sighting(place, float(q[a]), float(q[b]), K))
     return sorted(found)
 
 

@@ -20,15 +20,16 @@ class LevelLaw(NamedTuple):
     """g(z) = z f(1/z - 1) by cubics in v = -ln z = ln(1 + q) at even distances.
 
     Attributes:
-        f, df: f and df/dv at the joints.
-        start, width: the first joint and the distance of joints.
+        g, dg: g and dg/dv at the joints.
+        zero: the index of the joint at v = 0.
+        width: the distance of joints.
         z_top, g_top: the position of the maximum of g, 0 if g decreases, and this maximum.
         eta0: g(0), which is 0 under laws of sublinear growth.
     """
 
-    f: np.ndarray
-    df: np.ndarray
-    start: float
+    g: np.ndarray
+    dg: np.ndarray
+    zero: int
     width: float
     z_top: float
     g_top: float
@@ -46,7 +47,7 @@ class Levels(NamedTuple):
         g, dg: g and g' in the cells.
         lower, diagonal, upper, rest: the linear system of a Newton step.
         mean: means of the pools of the projection.
-        count: numbers of levels in these pools, integers.
+        pooled: numbers of levels in these pools.
     """
 
     x: np.ndarray
@@ -60,29 +61,29 @@ class Levels(NamedTuple):
     upper: np.ndarray
     rest: np.ndarray
     mean: np.ndarray
-    count: np.ndarray
+    pooled: np.ndarray
 
 
 @compiled
 def g_and_slope(z, law):
     """Return g and g' at z; beyond the table, and for the z < 0 of Newton's method, g continues as a line."""
-    last = law.f.size - 1
-    least, most = np.exp(-(law.start + law.width * last)), np.exp(-law.start)
+    last = law.g.size - 1
+    least, most = np.exp(law.width * (law.zero - last)), np.exp(law.width * law.zero)
     if z < least:
-        slope = law.f[last] - law.eta0 / least
+        slope = (law.g[last] - law.eta0) / least
         return law.eta0 + slope * z, slope
     if z > most:
-        slope = law.f[0] - law.df[0]
-        return most * law.f[0] + slope * (z - most), slope
-    at = (-np.log(z) - law.start) / law.width
+        slope = -law.dg[0] / most
+        return law.g[0] + slope * (z - most), slope
+    at = law.zero - np.log(z) / law.width
     k = min(max(int(at), 0), last - 1)
     s = at - k
     r = 1.0 - s
-    change = law.f[k + 1] - law.f[k]
-    left, right = law.df[k] * law.width - change, change - law.df[k + 1] * law.width
-    f = r * law.f[k] + s * law.f[k + 1] + s * r * (r * left + s * right)
-    df = (change + (r - s) * (r * left + s * right) + s * r * (right - left)) / law.width
-    return z * f, f - df
+    change = law.g[k + 1] - law.g[k]
+    left, right = law.dg[k] * law.width - change, change - law.dg[k + 1] * law.width
+    g = r * law.g[k] + s * law.g[k + 1] + s * r * (r * left + s * right)
+    dg = (change + (r - s) * (r * left + s * right) + s * r * (right - left)) / law.width
+    return g, -dg / z
 
 
 @compiled
@@ -177,19 +178,19 @@ def project(levels, first, n):
 
     Adjacent levels in the wrong order are pooled: each pool moves to its mean.
     """
-    x, mean, count = levels.x, levels.mean, levels.count
+    x, mean, pooled = levels.x, levels.mean, levels.pooled
     pools = 0
     for i in range(first, n + 1):
-        mean[pools], count[pools] = x[i], 1
+        mean[pools], pooled[pools] = x[i], 1.0
         pools += 1
         while pools > 1 and mean[pools - 2] >= mean[pools - 1]:
-            a, b = count[pools - 2], count[pools - 1]
+            a, b = pooled[pools - 2], pooled[pools - 1]
             mean[pools - 2] = (mean[pools - 2] * a + mean[pools - 1] * b) / (a + b)
-            count[pools - 2] = a + b
+            pooled[pools - 2] = a + b
             pools -= 1
     i = first
     for k in range(pools):
-        for _ in range(count[k]):
+        for _ in range(int(pooled[k])):
             x[i] = mean[k]
             i += 1
 
