@@ -68,7 +68,7 @@ def steps_of(x: Array, u: Array, ln_K: Array, eta0: float) -> list[tuple[Sightin
         if end - start < FEWEST or x[start] > 0.0:
             continue
         a = max(start - LAYER, 1)
-        slope = z[a - 1]
+        slope = float(z[a - 1])
         layer = (start - a) * spacing
         lower = float(np.clip((x[start] - x[a]) / slope, 0.0, layer)) if slope > 0.0 else layer
         height = float(u[end] - u[a]) - lower
