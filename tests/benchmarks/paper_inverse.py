@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 import hjprofile as hj
 from hjprofile.solvers.closed_forms import closed_form
+from hjprofile.solvers.inverse.inverse_levels import InverseSolution
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 from oracles import SteepPair
@@ -68,12 +69,41 @@ def steps_of_two_kinks():
                   zip(run.events, (exact.blow_up, exact.merge, exact.leave), strict=False)])  # fmt: skip
 
 
+def statements():
+    """Bressan and Shen: x is Lipschitz continuous in u, x_u has bounded variation, the solution depends on the data."""
+    for name, profile, left in (
+        ("two kinks", hj.kinks(POSITIONS, AMPLITUDES), -4.0),
+        ("bump and hollow", hj.bumps([4.0, -0.8], [-2.0, -3.5], [0.25, 0.4]), -6.0),
+    ):
+        problem = hj.Problem(LAW, profile, end=1.2, snapshots=25)
+        solution = InverseSolution(problem, hj.Grid(left, 2000), 2000)
+        steepest, variation = [], []
+        for t in problem.times:
+            solution.advance(t)
+            z = np.diff(solution.levels.x[: solution.n + 1]) / solution.spacing
+            steepest.append(z.max())
+            variation.append(np.abs(np.diff(z)).sum())
+        print(f"{name}: max x_u {steepest[0]:.5f} -> at most {max(steepest):.5f};"
+              f" TV(x_u) {variation[0]:.4f} -> at most {max(variation):.4f}")  # fmt: skip
+    one = hj.solve_inverse(hj.Problem(LAW, hj.kinks(POSITIONS, AMPLITUDES), 0.9, 19), hj.Grid(-4.0, 2000), 4000)
+    for change in (0.1, 0.01, 0.001):
+        near = hj.kinks(POSITIONS, [AMPLITUDES[0], AMPLITUDES[1] * (1.0 + change)])
+        other = hj.solve_inverse(hj.Problem(LAW, near, 0.9, 19), hj.Grid(-4.0, 2000), 4000)
+        apart = np.abs(one.u - other.u).mean(axis=1) * 4.0
+        print(
+            f"amplitude {change} larger: distance of u in L1 {apart[0]:.2g}, at most {apart.max() / apart[0]:.2f} times"
+        )
+
+
 def draw(axes, found, title, label, seconds=False):
     for method, (numbers, away, time) in found.items():
         colour, marker = STYLES[method]
         axes.loglog(time if seconds else numbers, away, marker=marker, color=colour, ms=4, lw=1.2, label=method)
     axes.set_title(title, fontsize=9, loc="left")
     axes.set_xlabel(label)
+    if not seconds:
+        axes.set_xticks(CELLS, [str(n) for n in CELLS])
+        axes.minorticks_off()
     axes.legend(fontsize=7, frameon=False)
 
 
@@ -96,6 +126,7 @@ def main():
     second = measured("vertical step of two kinks", pair, -4.0, steep, by_fronts(pair, -4.0))
     third = measured("vertical step of a bump", bump, -4.0, (*steep, "fronts"), by_fronts(bump, -4.0))
     steps_of_two_kinks()
+    statements()
     figure = Figure(figsize=(9.6, 3.2), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, 3)

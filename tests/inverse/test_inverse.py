@@ -99,9 +99,7 @@ def test_a_time_step_solves_the_implicit_equations(law, scale):
         above = g(min(z[i] if i < n else z_old[-1], solution.law.z_top))
         if i < n and z_old[i] == 0.0 and eta0:
             above = eta0
-        assert new[i] - old[i] == pytest.approx(
-            dt * K[i] * min(below, above), rel=1e-6, abs=1e-8
-        )  # the last Newton step
+        assert new[i] - old[i] == pytest.approx(dt * K[i] * min(below, above), rel=1e-6, abs=1e-8)
 
 
 def test_the_projection_is_isotonic_regression():
