@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from hjprofile.solvers.solve import solve_characteristics as solve_characteristics
     from hjprofile.solvers.solve import solve_conservative as solve_conservative
     from hjprofile.solvers.solve import solve_hj as solve_hj
+    from hjprofile.solvers.solve import solve_inverse as solve_inverse
     from hjprofile.solvers.solve import track_fronts as track_fronts
     from hjprofile.studies.accuracy import Comparison as Comparison
     from hjprofile.studies.accuracy import compare as compare
@@ -78,7 +79,8 @@ _MODULES = {
     "problem.survey": ("read_survey", "survey"),
     "solvers.run": ("Run",),
     "solvers.solve": (
-        "solve", "solve_case", "solve_characteristics", "solve_conservative", "solve_hj", "track_fronts",
+        "solve", "solve_case", "solve_characteristics", "solve_conservative", "solve_hj", "solve_inverse",
+        "track_fronts",
     ),
 }  # fmt: skip
 _HOME = {name: f"hjprofile.{module}" for module, names in _MODULES.items() for name in names}

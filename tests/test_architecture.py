@@ -13,7 +13,7 @@ import pytest
 import hjprofile
 
 HOME = Path(hjprofile.__file__).parent
-WINGS = ("grids", "fronts", "characteristics", "layer", "vertical_steps")
+WINGS = ("grids", "fronts", "characteristics", "inverse", "layer", "vertical_steps")
 # from the bottom up
 ROOMS = (
     "errors", "error_page", "interrupts", "files", "problem", "solvers.kernels", "solvers.stop", "solvers.norms",
@@ -34,11 +34,14 @@ ONLY_IN = {  # package -> the modules and rooms that may import it
 }
 LONGEST = 450  # lines that can be read in one sitting
 # What must not know of what; in the columns folders or modules. Of the studies, `stability` makes schemes of its own.
-EXACT = ("solvers.fronts", "solvers.characteristics", "solvers.vertical_steps", "solvers.front_tracking")
+EXACT = (
+    "solvers.fronts", "solvers.characteristics", "solvers.vertical_steps", "solvers.front_tracking", "solvers.inverse",
+)  # fmt: skip
 NEVER = {
     "solvers.grids": (*EXACT, "solvers.layer", "solvers.whole_line", "solvers.units_of_the_law", "solvers.snapshots"),
     "solvers.fronts": ("solvers.grids", "solvers.characteristics", "solvers.vertical_steps", "solvers.whole_line"),
     "solvers.characteristics": ("solvers.grids", "solvers.fronts", "solvers.vertical_steps", "solvers.whole_line"),
+    "solvers.inverse": (*EXACT[:-1], "solvers.layer", "solvers.grids.scheme", "solvers.whole_line"),
     "solvers.layer": (*EXACT, "solvers.whole_line"),
     "solvers.vertical_steps": ("solvers.characteristics", "solvers.layer", "solvers.whole_line"),
     "solvers.select": ("solvers.grids", "solvers.layer", "solvers.whole_line", "solvers.methods"),

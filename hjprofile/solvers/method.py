@@ -28,7 +28,7 @@ class Form(Enum):
 
     HEIGHT = "u on the nodes of a grid"
     SLOPE = "q on the cells of a grid"
-    OFF_GRID = "fronts or characteristics"
+    OFF_GRID = "fronts, characteristics or levels of u"
 
 
 class Feature(Enum):

@@ -39,6 +39,7 @@ from hjprofile.solvers.grids.high_order import ORDERS
 from hjprofile.solvers.grids.kernels import wavefront
 from hjprofile.solvers.grids.scheme import Scheme
 from hjprofile.solvers.grids.setup import Setup
+from hjprofile.solvers.inverse.inverse_levels import solve_inverse
 from hjprofile.solvers.layer.layer_scheme import WithLayer
 from hjprofile.solvers.method import Feature, Form, Method
 from hjprofile.solvers.run import Array, Run
@@ -145,6 +146,7 @@ def _high_order() -> Iterator[Method]:
 
 on_grid = also_on_the_whole_line(solve_on_grid)
 by_fronts = also_on_the_whole_line(track_fronts)
+by_inverse = also_on_the_whole_line(solve_inverse)
 by_characteristics = also_on_the_whole_line(solve_characteristics)
 with_least_work = also_on_the_whole_line(least_work)
 
@@ -152,6 +154,11 @@ with_least_work = also_on_the_whole_line(least_work)
 def _fronts(problem: Problem, grid: Grid, tolerance: float | None, progress: Progress | None) -> Run:
     """Solve by fronts."""
     return by_fronts(problem, grid, progress=progress)
+
+
+def _inverse(problem: Problem, grid: Grid, tolerance: float | None, progress: Progress | None) -> Run:
+    """Solve for x as a function of u, with as many levels as cells."""
+    return by_inverse(problem, grid, progress=progress)
 
 
 def _characteristics(problem: Problem, grid: Grid, tolerance: float | None, progress: Progress | None) -> Run:
@@ -176,6 +183,7 @@ def _auto(problem: Problem, grid: Grid, tolerance: float | None, progress: Progr
 
 _OFF_GRID = (
     Method("fronts", Form.OFF_GRID, frozenset({Feature.WHOLE_LINE, Feature.LINEAR_GROWTH}), solve=_fronts),
+    Method("inverse", Form.OFF_GRID, frozenset({Feature.WHOLE_LINE, Feature.LINEAR_GROWTH}), solve=_inverse),
     Method(
         "characteristics", Form.OFF_GRID, frozenset({Feature.WHOLE_LINE}), solve=_characteristics,
         tolerance=(FINEST, COARSEST),

@@ -16,7 +16,7 @@ from hjprofile.problem.profiles import TAIL
 from hjprofile.problem.ranges import as_number, instance, shown
 from hjprofile.solvers.grids.march import NOBODY
 from hjprofile.solvers.method import Form, Method, require, requirements
-from hjprofile.solvers.methods import METHODS, by_characteristics, by_fronts, find_method, named, on_grid
+from hjprofile.solvers.methods import METHODS, by_characteristics, by_fronts, by_inverse, find_method, named, on_grid
 from hjprofile.solvers.noise_bias import with_noise_bias
 from hjprofile.solvers.run import Keeper, Run
 from hjprofile.solvers.stated_error import with_stated_error
@@ -120,6 +120,33 @@ def track_fronts(
     grid = problem.grid() if grid is None else grid
     check(METHODS["fronts"], problem, grid)
     return by_fronts(problem, grid, fronts, progress, exact)
+
+
+def solve_inverse(
+    problem: Problem, grid: Grid | None = None, levels: int | None = None, progress: Progress | None = None
+) -> Run:
+    """Solve for x as a function of u at evenly spaced heights, and evaluate the result on a grid (§19).
+
+    - `problem`: law, profile, end and saved times; q must be 0 at the left end.
+    - `grid`: the nodes of the result, by default 2000 cells over the profile.
+    - `levels`: number of heights between the left end and the crest at t = 0, 4 to 100,000; by default the number of
+      cells.
+    - `progress`: a function that is called with the completed fraction in [0, 1].
+
+    Return a `Run`. The method is of first order, under every law; vertical steps stay sharp. If a later state needs too
+    small time steps, `status` states it, and the last saved time is the last good one. Raise InputError for invalid
+    input or q != 0 at the left end, and RunError if no saved time is reached.
+
+    >>> import hjprofile as hj
+    >>> problem = hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0)
+    >>> run = hj.solve_inverse(problem, levels=1000)
+    >>> round(run.kinks[-1].x, 2)
+    -2.08
+    """
+    instance("problem", problem, Problem)
+    grid = problem.grid() if grid is None else grid
+    check(METHODS["inverse"], problem, grid)
+    return by_inverse(problem, grid, levels, progress)
 
 
 def solve_characteristics(

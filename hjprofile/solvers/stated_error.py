@@ -324,7 +324,10 @@ class _Search:
 
         def solve() -> Run:
             self.problem.check(coarse)
-            return on_grid(self.problem, coarse, METHODS[method], self.case.cfl, None)
+            row = METHODS[method]
+            if row.solve is not None:
+                return row.solve(self.problem, coarse, None, None)
+            return on_grid(self.problem, coarse, row, self.case.cfl, None)
 
         return self._attempt(solve)
 

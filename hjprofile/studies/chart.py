@@ -19,7 +19,7 @@ from hjprofile.solvers.closed_forms import closed_form
 from hjprofile.solvers.method import Feature, require, requirements
 from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.run import Array, Run
-from hjprofile.solvers.solve import solve_characteristics, solve_with, track_fronts
+from hjprofile.solvers.solve import solve_characteristics, solve_inverse, solve_with, track_fronts
 
 # Neighbouring grids, not doubled ones, because an error varies with the position of a kink in its cell
 CELLS = tuple(int(n) for n in np.geomspace(250, 8000, 12).round())
@@ -143,6 +143,8 @@ def _plan(problem: Problem, grid: Grid, cfl: float) -> Iterator[tuple[str, Ladde
         yield method.name, [(n, partial(solve_with, method, problem, replace(grid, cells=n), cfl)) for n in CELLS]
     if METHODS["fronts"] in able:
         yield "fronts", [(n, partial(track_fronts, problem, grid, n)) for n in FRONTS]
+    if METHODS["inverse"] in able:
+        yield "inverse", [(n, partial(solve_inverse, problem, replace(grid, cells=n))) for n in CELLS]
     if METHODS["characteristics"] in able:
         exact = partial(solve_characteristics, problem, grid)
         yield "characteristics", [(grid.cells, partial(exact, tolerance)) for tolerance in TOLERANCES]

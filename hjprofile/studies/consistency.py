@@ -28,7 +28,7 @@ from hjprofile.solvers.data_resolution import cells_resolve
 from hjprofile.solvers.method import Feature, Form, require, requirements
 from hjprofile.solvers.methods import METHODS, find_method
 from hjprofile.solvers.run import Run
-from hjprofile.solvers.solve import solve_characteristics, solve_with, track_fronts
+from hjprofile.solvers.solve import solve_characteristics, solve_inverse, solve_with, track_fronts
 from hjprofile.solvers.stop import ROBUST_METHOD
 from hjprofile.studies.accuracy import Comparison, compare, observed_order
 from hjprofile.studies.records import EPS, records
@@ -47,6 +47,7 @@ WORST_ORDER = 0.5  # order of the theory in L1; below it a run is not in its asy
 BEST_ORDER = 1.0  # order of any method on a fixed grid across a kink
 WITNESS = 1e-9  # tolerance of characteristics: far below the error of any grid here
 FRONTS = (400, 800, 1600)
+INVERSE = "inverse"  # the method for x as a function of u, which solves neither form
 ORDER_SMOOTH = 1.5  # smallest order of higher methods on smooth data; measured: 2.0 to 5.0; first-order: 1.0
 # A smooth bump, which does not break before this time under any of the laws with f'(0) = 1
 SMOOTH = {"amplitudes": [0.3], "centres": [-3.0], "widths": [1.0]}
@@ -150,11 +151,28 @@ def check_consistency(
             if witness and witness.confirmed:
                 deciding = set()  # two methods without a grid agree, and the case uses neither grid
     ladders = {m: Ladder(m, [runs[m, n] for n in usable], m in deciding) for m in ordered}
+    if METHODS[INVERSE].supports >= asked:
+        checks += _by_levels(ladders, problem, [replace(grid, cells=n) for n in usable], method == INVERSE)
     judged = Judged(problem, ladders, len(coarse) <= len(grids) - FEWEST_GRIDS)
     checks += _independence(judged)
     if own_factor:
         checks += [*_budgets(runs, judged), *(_against(witness, judged) if witness else ())]
     return checks + smooth
+
+
+def _by_levels(ladders: dict[str, Ladder], problem: Problem, grids: Sequence[Grid], decides: bool) -> Iterator[Check]:
+    """Add the ladder for x as a function of u, with as many levels as each grid has cells, unless a run fails.
+
+    Check its finest run. It `decides` if the case uses this method; the comparison is open if it then fails.
+    """
+    found: list[Run] = []
+    with suppress(RunError):
+        found = [solve_inverse(problem, grid) for grid in grids]
+    if found and all(run.done for run in found) and all(_sound(run) for run in found[-FEWEST_GRIDS:]):
+        ladders[INVERSE] = Ladder(INVERSE, found, decides)
+        yield from records(found[-1], problem, None, f":{INVERSE}")
+    elif decides:
+        yield _unsolved(INVERSE, grids[-1].cells)
 
 
 def _usable(runs: Runs, methods: Sequence[str], grids: Sequence[int]) -> list[int]:
@@ -355,8 +373,13 @@ def _third_witness(problem: Problem, fine: Grid) -> Witness | None:
 def _own_witness(witness: Witness | None, method: str, cells: int) -> Iterator[Check]:
     """Leave the case open if its own method is one without a grid that does not resolve the profile."""
     if method in ("fronts", "characteristics") and not (witness and (witness.fronts or witness.run.method == method)):
-        rule = f"the method {method} does not reach its end, or its data do not represent the profile"
-        yield Check(f"bounds:{method}", [cells], [1.0], None, 0.0, True, rule, resolved=False)
+        yield _unsolved(method, cells)
+
+
+def _unsolved(method: str, cells: int) -> Check:
+    """Return the open comparison of a method without a grid that does not solve the case."""
+    rule = f"the method {method} does not reach its end, or its data do not represent the profile"
+    return Check(f"bounds:{method}", [cells], [1.0], None, 0.0, True, rule, resolved=False)
 
 
 def _against(witness: Witness, judged: Judged) -> Iterator[Check]:
@@ -367,7 +390,7 @@ def _against(witness: Witness, judged: Judged) -> Iterator[Check]:
     yield from records(run, judged.problem, None, f":{run.method}")
     some = any(one.converges() for one in judged.ladders.values() if one.method != "conservative")
     for method, one in judged.ladders.items():
-        if one.decides or method in (ROBUST_METHOD, "telescoping", "conservative"):
+        if one.decides or method in (ROBUST_METHOD, "telescoping", "conservative", INVERSE):
             away = [compare(mine, run).height_l1 for mine in one.runs]
             estimate = one.estimate("height_l1") + witness.estimate
             sound = one.converges() or not some

@@ -33,6 +33,7 @@ MAKES: dict[str, tuple[int, tuple[str, ...]]] = {
     "paper_bounds.py": (6, ("global_bounds.png",)),
     "paper_line.py": (160, ("whole_line.png", "wave_stability.png")),
     "paper_growth.py": (84, ("vertical_step.png",)),
+    "paper_inverse.py": (70, ("inverse.png",)),
     "sweep_figure.py": (354, ("sweep.png",)),
     "calibration_figure.py": (787, ("fit.png",)),
 }  # fmt: skip

@@ -380,7 +380,7 @@ def test_what_the_witness_says_of_its_error_is_allowed_for(monkeypatch):
     monkeypatch.setattr(consistency, "LEAST_CELLS", 200)
     checks = check_consistency(replace(KINK[0], snapshots=2), replace(KINK[1], cells=200))
     against = [c for c in checks if c.name.startswith("characteristics:")]
-    assert len(against) == 3 and all(c.passes and c.resolved for c in against)
+    assert len(against) == 4 and all(c.passes and c.resolved for c in against)
 
 
 def test_compare_wants_nested_grids_and_common_times():

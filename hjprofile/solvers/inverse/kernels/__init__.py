@@ -1,0 +1,1 @@
+"""Compiled loops of x as a function of u."""
