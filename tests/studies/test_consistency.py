@@ -14,6 +14,7 @@ from hjprofile.solvers.characteristics import moving_labels
 from hjprofile.solvers.grids import march
 from hjprofile.solvers.grids.kernels import grid_loops, hancock, wavefront
 from hjprofile.solvers.grids.kink_tracker import KinkTracker
+from hjprofile.solvers.inverse import inverse_levels
 from hjprofile.studies import consistency
 from hjprofile.studies.consistency import _within, check_consistency
 from hjprofile.studies.records import records
@@ -381,6 +382,48 @@ def test_what_the_witness_says_of_its_error_is_allowed_for(monkeypatch):
     checks = check_consistency(replace(KINK[0], snapshots=2), replace(KINK[1], cells=200))
     against = [c for c in checks if c.name.startswith("characteristics:")]
     assert len(against) == 4 and all(c.passes and c.resolved for c in against)
+
+
+STEEP_KINKS = (
+    hj.Problem(
+        hj.expression("q + q/(1+q)", growth="linear"), hj.kinks([-3.0, -2.5], [3.0, 5.0]), end=0.9, snapshots=4
+    ),
+    hj.Grid(-4.0, 400),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("case", "other", "cells"), [(KINK, "characteristics", 400), (STEEP_KINKS, "fronts", 1600)])
+def test_x_as_a_function_of_u_is_a_witness(case, other, cells, monkeypatch):
+    """Its u lies within the errors of the slope form and of a method without a grid; a wrong g turns it red."""
+    monkeypatch.setattr(consistency, "LEAST_CELLS", cells)
+    problem, grid = case[0], replace(case[1], cells=cells)
+    checks = {c.name: c for c in check_consistency(problem, grid) if "inverse" in c.name}
+    for name in ("independence:inverse:u", "budget:inverse", f"{other}:inverse:u"):
+        assert checks[name].passes and checks[name].resolved and not checks[name].decides
+        assert 0.8 < checks[name].order < 1.2
+    assert all(c.passes for c in checks.values())
+    sound = inverse_levels.level_law
+
+    def wrong(law, z_most):
+        table = sound(law, z_most)
+        return table._replace(g=1.1 * table.g, dg=1.1 * table.dg, g_top=1.1 * table.g_top, eta0=1.1 * table.eta0)
+
+    monkeypatch.setattr(inverse_levels, "level_law", wrong)
+    failed = {c.name for c in check_consistency(problem, grid) if not c.passes}
+    assert {"independence:inverse:u", f"{other}:inverse:u"} <= failed
+    assert all("inverse" in name for name in failed)
+
+
+def test_a_case_that_x_as_a_function_of_u_does_not_solve_is_open_if_it_is_its_method(monkeypatch):
+    def stops(problem, grid):
+        raise hj.RunError("stopped")
+
+    monkeypatch.setattr(consistency, "LEAST_CELLS", 200)
+    monkeypatch.setattr(consistency, "solve_inverse", stops)
+    case = replace(KINK[0], snapshots=2), replace(KINK[1], cells=200)
+    assert not any("inverse" in c.name for c in check_consistency(*case))
+    left_open = [c for c in check_consistency(*case, method="inverse") if "inverse" in c.name]
+    assert [(c.name, c.passes, c.resolved) for c in left_open] == [("bounds:inverse", True, False)]
 
 
 def test_compare_wants_nested_grids_and_common_times():
