@@ -313,7 +313,7 @@ def test_functions_of_numbers_and_of_arrays_are_one():
     assert np.array_equal(still.values(t, x), [[4.0, 1.5], [4.0, 1.5]])
 
 
-@pytest.mark.parametrize("text", ["q", "1 + y", "__import__('os')", "x.real", "sin(x)", "1 if x else 2", "", "x = 1"])
+@pytest.mark.parametrize("text", ["q", "1 + y", "__import__('os')", "x.real", "tan(x)", "1 if x else 2", "", "x = 1"])
 def test_what_is_no_expression_is_refused(text):
     with pytest.raises(hj.InputError, match="allowed are numbers, t, x, "):
         hj.coefficient(text)
