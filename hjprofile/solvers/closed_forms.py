@@ -144,7 +144,7 @@ def evaluate(form: ClosedForm, problem: Problem, grid: Grid) -> Run:
     u = np.array([solution.u[t] for t in times.tolist()])
     scale = 1.0 + float(np.abs(u - grid.nodes).max())
     allowed = dict.fromkeys(BOUNDS, (100.0 * CLOSED_FORM_ERROR * scale, "rounding"))
-    watch = SnapshotBounds(grid, float(solution.u[0.0][-1]), _volume(form, 0.0, grid), allowed)
+    watch = SnapshotBounds(grid, float(solution.u[0.0][-1]), _volume(form, 0.0, grid), allowed, variation_I=0.0)
     run = assembled("closed form", solution, walk(solution, problem, grid, watch, judged=judged), watch, problem, grid)
     return replace(
         run,

@@ -19,12 +19,13 @@ class SnapshotBounds:
     """The budgets, the minimum principle and the L1 decay of `BoundsMonitor`.
 
     `allowed` holds an allowance for each bound, and its reason; allowances grow with time as 1 + t. `least` is inf q of
-    the data, if it is below the smallest mean of a cell. `variation_I` is TV(I) of the fronts or labels, if any.
+    the data, if it is below the smallest mean of a cell. `variation_I` is TV(I) of the fronts or labels, 0 for
+    an exact solution; without it the variation of I is not judged.
     """
 
     def __init__(
         self, grid: Grid, mass: float, volume: float, allowed: Mapping[str, tuple[float, str]], least: float = np.inf,
-        variation_I: float = 0.0,
+        variation_I: float | None = None,
     ):  # fmt: skip
         self.variation_I = variation_I
         self.grid, self.mass, self.first, self.allowed, self.least = grid, mass, volume, allowed, least

@@ -111,7 +111,7 @@ class Statements:
 def statements(problem: Problem, grid: Grid, progress: Callable[[float], None] | None = None) -> Statements:
     """Evaluate statements of the source paper for a problem, with the constants that it leaves generic.
 
-    The method is `godunov` on the given grid, in time steps that are short enough for the method to be monotone. The
+    The method is the upwind scheme on the given grid, in time steps that are short enough for it to be monotone. The
     constants are computed from the run. Statements along characteristics use `conservative` on the same grid.
 
     Args:
