@@ -31,6 +31,11 @@ class SupplyFlux:
         table: the `[layer]` table of a case file that makes this supply flux again.
         content: a hash of the file that holds the function; "" if `table` holds everything; None for a function that
             is in no file.
+
+    >>> import hjprofile as hj
+    >>> problem = hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0, supply_flux="0.1*(1 + t)")
+    >>> print(problem.supply_flux.values([0.0, 1.0]))
+    [0.1 0.2]
     """
 
     function: Callable[[Any], Any]
@@ -72,7 +77,8 @@ class SupplyFlux:
             raise InputError(str(error), ABOUT) from None
 
     def __str__(self) -> str:
-        return repr(self.table.get("supply_flux", f"the function {self.table.get('function')}"))
+        text = self.table.get("supply_flux")
+        return repr(text) if text else f"the function {self.table['function']}"
 
 
 def supply_flux(name: str, flux: Any) -> float | SupplyFlux:

@@ -81,6 +81,15 @@ def test_a_hollow_by_hand():
     assert bounds.variation == pytest.approx(steepest * ((b + b + b) + b), rel=2e-3)  # falls by b, by b, rises by b
 
 
+def test_a_hollow_below_a_steep_piece_by_hand():
+    """q = -b and then c, each of length 1: sup I = 1 + c - b + c at the end, and the hollow adds b: q <= 2c."""
+    law, b, c, grid = hj.rational(), 0.2, 1.0, hj.Grid(-4.0, 4000)
+    q = hj.steps([-3.0, -2.0, -1.0], [-b, c]).q_means(grid, law)
+    bounds = proof(law, q, q, grid.dx)
+    assert bounds.size == pytest.approx(2 * c / (1 + 2 * c), rel=1e-3)
+    assert bounds.norm == pytest.approx(c + b * (1 - b) ** -2, rel=1e-6)
+
+
 def test_units_of_the_law_scale_the_constant():
     """With the law γf, u(γx, γ²t)/γ solves the same problem, so L is γ² times as large."""
     law, gamma = hj.rational(), 4.0
