@@ -180,10 +180,9 @@ def _defects(run: Run, law: ErosionLaw, x: Array, nonlocal_: bool) -> tuple[Valu
         if not nonlocal_:
             falls[i, known] = -np.interp(at, run.x, np.gradient(run.K[i], dx))
         if i:
-            both = known & np.isfinite(x[i - 1])
             change = ln_K[i] - ln_K[i - 1]
-            ends = (np.interp(x[j, both], run.x, change) for j in (i - 1, i))
-            grown[i - 1, both] = 0.5 * sum(ends)
+            at_both = (np.interp(x[j, known], run.x, change) for j in (i - 1, i))  # NaN where x is
+            grown[i - 1, known] = 0.5 * sum(at_both)
     f = law.f(np.where(np.isfinite(q), q, 0.0)) + 0.0 * q
     F = K * f
     rate = F * f if nonlocal_ else falls * f

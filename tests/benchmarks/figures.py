@@ -30,6 +30,7 @@ MAKES: dict[str, tuple[int, tuple[str, ...]]] = {
     "paper_layer.py": (14, ("slow_erosion.png", "supply_histories.png")),
     "paper_coefficient.py": (6, ("coefficient.png", "fractional.png")),
     "paper_dependence.py": (26, ("dependence.png", "lipschitz.png")),
+    "paper_statements.py": (50, ("invariant.png",)),
     "paper_bounds.py": (6, ("global_bounds.png",)),
     "paper_line.py": (160, ("whole_line.png", "wave_stability.png")),
     "paper_growth.py": (84, ("vertical_step.png",)),
