@@ -201,8 +201,15 @@ class Ladder:
         return [compare(a, b) for a, b in pairwise(self.runs)]
 
     def estimate(self, norm: str) -> float:
-        """Return Richardson's estimate of the error of the finest run."""
-        return _richardson([getattr(c, norm) for c in self.steps])
+        """Return Richardson's estimate of the error of the finest run, with that of sharp vertical steps."""
+        sharp = self._sharp() if self.method == INVERSE and norm == "height_l1" else 0.0
+        return sharp + _richardson([getattr(c, norm) for c in self.steps])
+
+    def _sharp(self) -> float:
+        """Return the change of ∫|u| dx if vertical steps move by a cell: nodes do not resolve a smaller distance."""
+        run = self.runs[-1]
+        heights = [sum(step.height for step in run.steps_at(i)) for i in range(run.time.size)]
+        return float(np.ptp(run.x)) / run.cells * max(heights)
 
     def converges(self, norm: str = "height_l1") -> bool:
         """Return True if heights, or slopes, converge at least with the order of the theory."""
@@ -426,6 +433,8 @@ def _second_order(problem: Problem, cfl: float, methods: Sequence[str]) -> Itera
 def _budgets(runs: Runs, judged: Judged) -> Iterator[Check]:
     """Compare the eroded volume with ∫(K(left) - 1) dt: equal to rounding, or with an error that converges."""
     for method, one in judged.ladders.items():
+        if method == INVERSE:  # its time steps are few, and saved times shorten them: its bound is checked instead
+            continue
         error = [r.volume_budget_error for r in one.runs]
         if method not in CONVERGING and max(error) <= ABSOLUTE_ROUNDING:
             yield _bounded(f"budget:{method}", one.cells[-1], error[-1], ABSOLUTE_ROUNDING, "to rounding")
