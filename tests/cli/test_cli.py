@@ -233,7 +233,8 @@ def test_dependence_writes_its_table_and_picture(folder, call, monkeypatch):
         "data", "zero", "coefficient", "refresh",
     ]  # fmt: skip
     rows = list(csv.DictReader(Path("results/bare/dependence.csv").read_text().splitlines()))
-    assert list(rows[0]) == ["case", "study", "member", "size", "time", "distance", "bound"]
+    assert list(rows[0]) == ["case", "study", "member", "size", "time", "distance", "bound", "constant"]
+    assert all((row["constant"] != "") == (row["study"] in ("data", "zero")) for row in rows)
     assert {row["study"] for row in rows} == {"data", "zero", "coefficient", "refresh", "refresh kinks"}
     assert Path("results/bare/dependence.png").read_bytes().startswith(b"\x89PNG")
     honest = dependence.distance_bound
