@@ -500,7 +500,7 @@ def test_a_violation_is_reported_before_a_larger_share_of_rounding():
 
 
 def test_integrals_along_characteristics_are_of_second_order(monkeypatch):
-    """21 saved times on a steady slope: measured 3e-6, and 2.3e-4 if the rule of rectangles replaces the trapezoidal one."""
+    """21 saved times on a steady slope: measured 3e-6, and 2.3e-4 by the rule of rectangles."""
     monkeypatch.setattr(along, "TIMES", 21)
     found = along.follow(hj.Problem(hj.rational(), hj.steady(0.5), 0.5), hj.Grid(-2.0, 2000))
     assert max(np.nanmax(np.abs(defect)) for defect in found.defects.values()) < 2e-5
