@@ -1,5 +1,7 @@
 """Stability of the travelling wave on the whole line (§10): perturbations of the same mass, by fronts and on a grid."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from travelling_waves import amplitude, arrival, distances, excess, excess_by_invariant, kinks, smooth, wave_with_bump
@@ -23,7 +25,7 @@ def on_the_line(law, profile, times, solver, left=-4.0, beyond=21.0, cells=3000)
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", [pytest.param(law, marks=() if law == "log" else pytest.mark.slow) for law in LAWS])
 def test_kinks_become_the_wave_when_the_last_two_have_merged(law, solver):
     """To rounding by fronts: afterwards I is constant right of one kink, and q = 0 on its left. The speed is f'(0)."""
     law = LAWS[law]
@@ -53,7 +55,7 @@ BUMPS = {
 
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("bump", BUMPS)
-@pytest.mark.parametrize("law", ["rational", "power 3"])
+@pytest.mark.parametrize("law", ["rational", pytest.param("power 3", marks=pytest.mark.slow)])
 def test_a_bump_on_the_wave_is_gone_in_finite_time(law, bump, solver):
     """I is constant beyond the bump, so the kink swallows all of it; the wave of the total mass is left."""
     law, (centre, size) = LAWS[law], BUMPS[bump]
@@ -81,8 +83,15 @@ TAILS = {"steep": 20.0, "medium": 2.0, "gentle": 0.6}
 TIMES = np.array([0.0, 5.0, 10.0, 20.0, 40.0])
 
 
-@pytest.mark.parametrize("tail", TAILS)
-@pytest.mark.parametrize("law", LAWS)
+def each(default, others):
+    """All cases as parameters; only those of `default` run without -m slow."""
+    return [pytest.param(*case, marks=() if case in default else pytest.mark.slow) for case in others]
+
+
+SMOOTH = {("rational", "steep"), ("log", "gentle"), ("power 3", "medium")}
+
+
+@pytest.mark.parametrize(("law", "tail"), each(SMOOTH, product(LAWS, TAILS)))
 def test_smooth_data_approach_the_wave_as_the_invariant_says(law, tail):
     """R(q⁺) - R(A) is I - I(∞) of the characteristic that arrives at the kink, like (R'(0) - 1/b) R(0)²/t.
 
