@@ -146,7 +146,7 @@ def assembled(
     """Return the run of a walk."""
     W, K = snapshots.rows(grid)
     times, bounds = problem.times[: len(W)], watch.bounds
-    if watch.variation_I is not None and not problem.profile.inflow:
+    if times.size and watch.variation_I is not None and not problem.profile.inflow:
         bounds = bounds | {"uniform_tv": uniform_tv(problem.law, grid, times, W, watch.variation_I)}
     kinks, events = without_weak_kinks(
         snapshots.kinks, in_order(solution.events, solution.moment), problem.profile.rounding

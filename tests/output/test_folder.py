@@ -19,7 +19,7 @@ CASE = {
     "time": {"end": 0.1, "snapshots": 2},
     "output": {"vtk": False, "plots": False},
 }
-RUN = {"profile.nc", "kinks.csv", "events.csv", "summary.json"}
+RUN = {"profile.nc", "kinks.csv", "events.csv", "norms.csv", "summary.json"}
 
 
 def write_case(path, **changes):
@@ -194,7 +194,7 @@ def test_the_account_of_a_run_names_what_could_not_be_made(in_tmp, call, monkeyp
     monkeypatch.setattr("os.cpu_count", lambda: 1)  # no helper: it would not know of these
     code, out, err = call("run", write_case("case.toml", output={"vtk": True, "plots": True}))
     warnings = hj.load_run("results/case").warnings
-    assert (code, err) == (0, "") and names("results/case") == RUN | {"profile.png", "diagram.png"}
+    assert (code, err) == (0, "") and names("results/case") == RUN | {"profile.png", "diagram.png", "norms.png"}
     assert warnings == [
         "the VTK files could not be made (ValueError: no font); the data are complete",
         "factor.png could not be drawn (ValueError: no font); the data are complete",
