@@ -166,7 +166,7 @@ def test_a_deposit_raises_the_crest_above_all_first_levels():
 
 
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("seed", [2, 3, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 5))])
+@pytest.mark.parametrize("seed", [2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 3, 5))])
 def test_random_profiles_against_fronts(law, seed):
     """x is monotone, the bounds hold, and the distance from fronts falls as the levels are doubled twice."""
     rng = np.random.default_rng(seed)

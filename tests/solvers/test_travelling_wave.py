@@ -88,7 +88,7 @@ def each(default, others):
     return [pytest.param(*case, marks=() if case in default else pytest.mark.slow) for case in others]
 
 
-SMOOTH = {("rational", "steep"), ("log", "gentle"), ("power 3", "medium")}
+SMOOTH = {("power 3", "medium")}
 
 
 @pytest.mark.parametrize(("law", "tail"), each(SMOOTH, product(LAWS, TAILS)))

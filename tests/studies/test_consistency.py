@@ -392,7 +392,10 @@ STEEP_KINKS = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize(("case", "other", "cells"), [(KINK, "characteristics", 400), (STEEP_KINKS, "fronts", 1600)])
+@pytest.mark.parametrize(
+    ("case", "other", "cells"),
+    [(KINK, "characteristics", 400), pytest.param(STEEP_KINKS, "fronts", 1600, marks=pytest.mark.slow)],
+)
 def test_x_as_a_function_of_u_is_a_witness(case, other, cells, monkeypatch):
     """Its u lies within the errors of the slope form and of a method without a grid; a wrong g turns it red."""
     monkeypatch.setattr(consistency, "LEAST_CELLS", cells)
