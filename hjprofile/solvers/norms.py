@@ -11,7 +11,8 @@ from hjprofile.problem.erosion import ErosionLaw
 
 Array = np.ndarray
 
-HALVINGS = 60  # bisections for the largest q that a bound on R(q) permits
+BISECTIONS = 60  # for the largest q that a bound on R(q) permits: to rounding
+LARGEST_LN_SLOPE = 700.0  # largest ln(1 + q) in double precision
 SAMPLES = 1000  # number of slopes at which R' is evaluated for its minimum
 
 
@@ -147,18 +148,18 @@ def _growing(found: Norms, states: States, law: ErosionLaw) -> Array:
     return found.tv[0] + np.append(0.0, np.cumsum(0.5 * np.diff(found.time) * (rate[1:] + rate[:-1])))
 
 
+@np.errstate(all="ignore")  # f may overflow at slopes far above the result
 def inverse_of_R(law: ErosionLaw, value: float) -> float:
-    """Return the q >= 0 with R(q) = `value`; 0 if R(0) is larger.
+    """Return the q >= 0 with R(q) = `value`, from above, by bisection in ln(1 + q); 0 if R(0) is larger.
 
     >>> import hjprofile as hj
     >>> round(inverse_of_R(hj.rational(), 3.5), 12)
     2.5
     """
-    high = 1.0
-    while float(law.R(high)) < value:
-        high *= 2.0
-    low = 0.0
-    for _ in range(HALVINGS):
+    if value <= float(law.R(0.0)):
+        return 0.0
+    low, high = 0.0, LARGEST_LN_SLOPE
+    for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if float(law.R(middle)) < value else (low, middle)
-    return low
+        low, high = (middle, high) if float(law.R(np.expm1(middle))) <= value else (low, middle)
+    return float(np.expm1(high))

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.problem.erosion import ErosionLaw
+from hjprofile.solvers.norms import inverse_of_R
 from hjprofile.solvers.run import Array
 
 SLOPES = 1025  # slopes between the bounds of q at which the ratio f'/R' is sampled
-STEEPEST = 700.0  # largest ln(1 + q) in double precision
 
 
 class Proof(NamedTuple):
@@ -49,19 +49,10 @@ def proof(law: ErosionLaw, q: Array, p: Array, dx: float) -> Proof:
         R, W = law.R(one), dx * (np.cumsum(one) - 0.5 * one)
         plus, minus = (dx * float(np.maximum(sign * one, 0.0).sum()) for sign in (1.0, -1.0))
         I = np.concatenate([[law.R(0.0)], R + W])
-        most = _slope_of(law, float(I.max()) + minus)
+        most = inverse_of_R(law, float(I.max()) + minus)
         between = np.expm1(np.linspace(np.log1p(least), np.log1p(most), SLOPES))
         ratio = float((law.derivative(between) / law.R_derivative(between)).max())
         size = max(float(law.f(np.array(most))), -float(law.f(np.array(least))))
         variation = ratio * (float(np.abs(np.diff(I)).sum()) + plus + minus)
         found.append(Proof(largest_K * steepest, neutral * plus + steepest * minus, size, variation))
     return min(found, key=lambda bounds: bounds.constant)
-
-
-def _slope_of(law: ErosionLaw, R: float) -> float:
-    """Return the largest slope q with R(q) <= R, by bisection in ln(1 + q); R(q) increases."""
-    low, high = 0.0, STEEPEST
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if float(law.R(np.expm1(middle))) <= R else (low, middle)
-    return float(np.expm1(high))

@@ -22,6 +22,7 @@ from hjprofile.problem.grid import Grid
 from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.run import Array, Breakdown, Halt
 from hjprofile.solvers.stop import ROBUST_METHOD
+from hjprofile.studies.dependence import NOTHING
 
 METHOD = ROBUST_METHOD  # a monotone method: the inequalities of the theory hold for each of its steps
 MOMENTS = 41  # number of saved times, both ends included
@@ -29,10 +30,9 @@ FRACTIONAL_STEPS = 20  # number of intervals with a frozen coefficient
 SECOND = 0.9  # q of the second slope relative to that of the first
 SHIFTS = 64  # the shift h of (3.10) is the length of the domain divided by this number
 SHORTEST = 1e-9  # T(δ, M) relative to the end, below which (3.5) is evaluated at t = 0 only
-ROUNDING = 1e-12  # q that is zero except for rounding
 MOST_STEPS = 2_000_000  # on 1000 cells they take some ten minutes
 
-NOTHING = np.empty(0)
+NO_CELLS = np.empty(0)
 
 
 class Local(NamedTuple):
@@ -149,7 +149,7 @@ class _Stepper:
             W = self.scheme.W
             W[:] = W[0] + part * (W - W[0])
 
-    def at(self, t: float, k: Array = NOTHING) -> None:
+    def at(self, t: float, k: Array = NO_CELLS) -> None:
         """Compute q, and the coefficient k unless it is given, and freeze k. Raise Breakdown or Halt."""
         factor = self.scheme.factor
         factor.t, factor.frozen_K = t, k
@@ -254,7 +254,7 @@ class _Sums:
 
 def local_bounds(law: ErosionLaw, q: Array, dx: float, end: float) -> Local:
     """Return the bounds of (3.5) for data q and a run that ends at `end`."""
-    lowest, highest = (float(value) if abs(value) > ROUNDING else 0.0 for value in (q.min(), q.max()))
+    lowest, highest = (float(value) if abs(value) > NOTHING else 0.0 for value in (q.min(), q.max()))
     lowest, highest = min(lowest, 0.0), max(highest, 0.0)
     delta, low, high = 0.5 * (1.0 + lowest), 0.5 * (lowest - 1.0) if lowest < 0.0 else 0.0, 2.0 * highest
     f_low, f_high = (abs(float(f)) for f in law.f(np.array([low, high])))
@@ -311,8 +311,8 @@ def _evaluate(steppers: Sequence[_Stepper], t: float) -> None:
 
 def _state(steppers: Sequence[_Stepper]) -> list[Array]:
     """Return q and k of the first two schemes and q of the third, empty where there is none."""
-    second = [steppers[1].q, steppers[1].k] if len(steppers) > 1 else [NOTHING, NOTHING]
-    return [steppers[0].q, steppers[0].k, *second, steppers[2].q if len(steppers) > 2 else NOTHING]
+    second = [steppers[1].q, steppers[1].k] if len(steppers) > 1 else [NO_CELLS, NO_CELLS]
+    return [steppers[0].q, steppers[0].k, *second, steppers[2].q if len(steppers) > 2 else NO_CELLS]
 
 
 def _add(sums: _Sums, dt: float, steppers: Sequence[_Stepper], t: float) -> None:

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.solvers.run import Array
-from hjprofile.studies.statement_runs import ROUNDING, FractionalStep, History, maximum, total_variation
+from hjprofile.studies.dependence import NOTHING
+from hjprofile.studies.statement_runs import FractionalStep, History, maximum, total_variation
 
 Series = tuple[Array, Array, Array]
 Evaluate = Callable[[History, Sequence[FractionalStep]], Series]
@@ -40,7 +41,7 @@ def conditions(history: History) -> frozenset[str]:
     q = history.q[0]
     violated = {
         NONLOCAL: not history.nonlocal_, CLOSED: history.inflow != 0.0,
-        NEGATIVE: q.min() >= -ROUNDING, POSITIVE: q.max() <= ROUNDING,
+        NEGATIVE: q.min() >= -NOTHING, POSITIVE: q.max() <= NOTHING,
     }  # fmt: skip
     return frozenset(reason for reason, missing in violated.items() if missing)
 

@@ -1,4 +1,4 @@
-"""Study of the statements of the source paper that hold at each time, with computed constants (theory.md §6).
+"""Study of the statements of the source paper that hold at each time, with computed constants (theory.md §9).
 
 Each statement is an inequality, value <= bound, at one or several times of a run. A statement that the discrete
 solution satisfies exactly has only rounding as allowance. The statements along characteristics are equalities; their
@@ -24,7 +24,7 @@ from hjprofile.studies.statement_table import NONLOCAL, STATEMENTS, Series, cond
 
 NO_SERIES: Series = (np.empty(0), np.empty(0), np.empty(0))
 CELLS = 1000  # largest number of cells of the command
-ROUNDING = 1e-10  # excess of a value over its bound that counts as rounding, relative to the bound or to 1
+ROUNDING_EXCESS = 1e-10  # excess of a value over its bound that counts as rounding, relative to the bound or to 1
 SHARES = 0.7, 0.1, 0.2  # of the work: the history, the frozen intervals, the characteristics
 
 
@@ -45,12 +45,12 @@ class StatementRow(NamedTuple):
     @property
     def holds(self) -> bool:
         """True if the value exceeds the bound by no more than rounding."""
-        return bool(self.value <= self.bound + ROUNDING * max(1.0, abs(self.bound)))
+        return bool(self.value <= self.bound + ROUNDING_EXCESS * max(1.0, abs(self.bound)))
 
     @property
     def share(self) -> float:
         """The value relative to the bound; 0 if both are zero except for rounding."""
-        if abs(self.value) <= ROUNDING and abs(self.bound) <= ROUNDING:
+        if abs(self.value) <= ROUNDING_EXCESS and abs(self.bound) <= ROUNDING_EXCESS:
             return 0.0
         return self.value / self.bound if self.bound else float(np.copysign(np.inf, self.value))
 

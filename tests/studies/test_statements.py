@@ -389,7 +389,7 @@ def test_a_scheme_with_another_coefficient_is_reported(monkeypatch):
     """Time steps with 1/K in the place of K: q does not change by the flux that it has."""
     honest = runs._Stepper.at
 
-    def at(self, t, k=runs.NOTHING):
+    def at(self, t, k=runs.NO_CELLS):
         honest(self, t, k)
         self.scheme.factor.frozen_K = 1.0 / self.scheme.factor.frozen_K**2
 

@@ -53,7 +53,7 @@ def draw_statements(case: str, found: Statements) -> Figure:
         bad = np.array([not row.holds for row in mine])
         axes.plot(t[bad], value[bad], "x", color=VIOLATED, ms=4)
         positive = np.concatenate([value, bound])
-        positive = positive[positive > 0.0]  # nor NaN
+        positive = positive[positive > 0.0]  # excludes NaN
         if positive.size and positive.max() > LOGARITHMIC * positive.min():
             axes.set_yscale("log")
             axes.set_ylim(max(0.5 * positive.min(), LOWEST * positive.max()), 2.0 * positive.max())
