@@ -11,9 +11,12 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from hjprofile.errors import InputError as InputError
     from hjprofile.errors import RunError as RunError
+    from hjprofile.output.plots.animation import animate as animate
+    from hjprofile.output.plots.user_axes import plot as plot
     from hjprofile.output.store import load_run as load_run
     from hjprofile.output.store import write_run as write_run
     from hjprofile.output.sweep_results import sweep as sweep
+    from hjprofile.output.vtk import export_vtk as export_vtk
     from hjprofile.problem import Problem as Problem
     from hjprofile.problem.case import Case as Case
     from hjprofile.problem.case import load_case as load_case
@@ -66,8 +69,11 @@ _MODULES = {
     "studies.slow_erosion": ("slow_erosion",),
     "studies.statements": ("Statements", "statements"),
     "studies.verdict": ("Consistency",),
+    "output.plots.animation": ("animate",),
+    "output.plots.user_axes": ("plot",),
     "output.store": ("load_run", "write_run"),
     "output.sweep_results": ("sweep",),
+    "output.vtk": ("export_vtk",),
     "problem": ("Problem",),
     "problem.case": ("Case", "load_case"),
     "problem.case_files": ("shipped_cases",),

@@ -220,6 +220,12 @@ def test_kernels_are_made_of_kernels():
     assert [m for m in kernels if "files" in own_imports(tree(m))] == ["solvers.kernels.disk_cache"]
 
 
+def test_imports_by_name_are_few():
+    """The tests above do not see them: `Run.plot`, and the names of the package."""
+    by_name = {m for m in MODULES if {"importlib", "importlib.import_module"} & imported(tree(m))}
+    assert by_name == {"", "solvers.run"}
+
+
 def test_no_circle_of_modules():
     """Rooms apart, no module may need itself; the package's own __init__ imports nothing before it is asked."""
     TopologicalSorter({m: own_imports(tree(m)) - {"", m} for m in ROOMED}).prepare()

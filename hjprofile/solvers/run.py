@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
@@ -321,6 +322,19 @@ class Run:
         if self.units is None:
             return found
         return found | self.units.fields(self.time, self.x, self.x_cell, self.u)
+
+    def plot(self, ax: Any = None, kind: str = "profile") -> Any:
+        """Plot the run on the axes `ax` of matplotlib, or in a new figure. See `hjprofile.plot`, which this calls.
+
+        >>> import hjprofile as hj
+        >>> from matplotlib.figure import Figure
+        >>> problem = hj.Problem(hj.rational(), hj.kinks([-2.0], [1.0]), end=0.1)
+        >>> run = hj.solve_hj(problem, hj.Grid(left=-4.0, cells=40))
+        >>> run.plot(ax=Figure().subplots()).get_ylabel()
+        'height u'
+        """
+        # by name: pictures are above the solvers, which import none of them
+        return import_module("hjprofile.output.plots.user_axes").plot(self, kind, ax)
 
     def to_xarray(self) -> xarray.Dataset:
         """Return an `xarray.Dataset` of u, q and K, with the coordinates `time`, `x` and `x_cell` as its dimensions.

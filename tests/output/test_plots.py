@@ -83,7 +83,7 @@ def keys_of(figure):
 
 def test_files():
     files = pictures(solved("kinks"), ("png", "svg"))
-    assert files.keys() == {f"{p}.{form}" for p in ("profile", "diagram", "factor") for form in ("png", "svg")}
+    assert files.keys() == {f"{p}.{form}" for p in ("profile", "diagram", "factor", "norms") for form in ("png", "svg")}
     for file, content in files.items():
         if file.endswith(".svg"):
             texts = ["".join(element.itertext()) for element in ET.fromstring(content).iter() if "text" in element.tag]
