@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from hjprofile.problem.profiles import steps as steps
     from hjprofile.problem.survey import read_survey as read_survey
     from hjprofile.problem.survey import survey as survey
+    from hjprofile.solvers.closed_forms import exact as exact
+    from hjprofile.solvers.method_table import methods as methods
     from hjprofile.solvers.run import Run as Run
     from hjprofile.solvers.solve import solve as solve
     from hjprofile.solvers.solve import solve_case as solve_case
@@ -55,7 +57,11 @@ if TYPE_CHECKING:
     from hjprofile.studies.chart import chart as chart
     from hjprofile.studies.consistency import check as check
     from hjprofile.studies.consistency import check_consistency as check_consistency
+    from hjprofile.studies.dependence import Dependence as Dependence
+    from hjprofile.studies.dependence import dependence as dependence
     from hjprofile.studies.slow_erosion import slow_erosion as slow_erosion
+    from hjprofile.studies.stability import Stability as Stability
+    from hjprofile.studies.stability import stability as stability
     from hjprofile.studies.statements import Statements as Statements
     from hjprofile.studies.statements import statements as statements
     from hjprofile.studies.verdict import Consistency as Consistency
@@ -66,7 +72,9 @@ _MODULES = {
     "studies.calibration": ("Calibration", "fit"),
     "studies.chart": ("chart",),
     "studies.consistency": ("check", "check_consistency"),
+    "studies.dependence": ("Dependence", "dependence"),
     "studies.slow_erosion": ("slow_erosion",),
+    "studies.stability": ("Stability", "stability"),
     "studies.statements": ("Statements", "statements"),
     "studies.verdict": ("Consistency",),
     "output.plots.animation": ("animate",),
@@ -83,6 +91,8 @@ _MODULES = {
     "problem.given": ("profile",),
     "problem.profiles": ("bumps", "kinks", "points", "steady", "steps"),
     "problem.survey": ("read_survey", "survey"),
+    "solvers.closed_forms": ("exact",),
+    "solvers.method_table": ("methods",),
     "solvers.run": ("Run",),
     "solvers.solve": (
         "solve", "solve_case", "solve_characteristics", "solve_conservative", "solve_hj", "solve_inverse",

@@ -8,7 +8,8 @@ import pytest
 import hjprofile
 
 PUBLIC = [name for name in hjprofile.__all__ if name != "__version__"]
-RETURNED = {"Comparison", "Calibration", "Consistency", "Run", "Statements"}  # shown by the examples of functions
+# shown by the examples of functions
+RETURNED = {"Comparison", "Calibration", "Consistency", "Dependence", "Run", "Stability", "Statements"}
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
