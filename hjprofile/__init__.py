@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from hjprofile.error_page import explain as explain
     from hjprofile.errors import InputError as InputError
     from hjprofile.errors import RunError as RunError
     from hjprofile.output.plots.animation import animate as animate
@@ -67,6 +68,7 @@ if TYPE_CHECKING:
     from hjprofile.studies.verdict import Consistency as Consistency
 
 _MODULES = {
+    "error_page": ("explain",),
     "errors": ("InputError", "RunError"),
     "studies.accuracy": ("Comparison", "compare", "observed_order"),
     "studies.calibration": ("Calibration", "fit"),

@@ -58,3 +58,11 @@ def test_exact_is_none_where_no_closed_form_is_known():
     assert hj.exact(hj.Problem(law, hj.steady(0.4), 1.0)).kink(0.5) != 0.0
     with pytest.raises(hj.InputError, match="must be of the type Problem"):
         hj.exact(kink)
+
+
+def test_explain(call):
+    text = hj.explain("A folder of another case")
+    assert call("explain", "a-folder-of-another-case")[1] == f"A folder of another case\n\n{text}\n"
+    for wrong in ("nonsense", 3):
+        with pytest.raises(hj.InputError, match="heading"):
+            hj.explain(wrong)
