@@ -9,11 +9,15 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from hjprofile.error_page import explain as explain
     from hjprofile.errors import InputError as InputError
     from hjprofile.errors import RunError as RunError
+    from hjprofile.output.plots.animation import animate as animate
+    from hjprofile.output.plots.user_axes import plot as plot
     from hjprofile.output.store import load_run as load_run
     from hjprofile.output.store import write_run as write_run
     from hjprofile.output.sweep_results import sweep as sweep
+    from hjprofile.output.vtk import export_vtk as export_vtk
     from hjprofile.problem import Problem as Problem
     from hjprofile.problem.case import Case as Case
     from hjprofile.problem.case import load_case as load_case
@@ -36,6 +40,8 @@ if TYPE_CHECKING:
     from hjprofile.problem.profiles import steps as steps
     from hjprofile.problem.survey import read_survey as read_survey
     from hjprofile.problem.survey import survey as survey
+    from hjprofile.solvers.closed_forms import exact as exact
+    from hjprofile.solvers.method_table import methods as methods
     from hjprofile.solvers.run import Run as Run
     from hjprofile.solvers.solve import solve as solve
     from hjprofile.solvers.solve import solve_case as solve_case
@@ -52,22 +58,32 @@ if TYPE_CHECKING:
     from hjprofile.studies.chart import chart as chart
     from hjprofile.studies.consistency import check as check
     from hjprofile.studies.consistency import check_consistency as check_consistency
+    from hjprofile.studies.dependence import Dependence as Dependence
+    from hjprofile.studies.dependence import dependence as dependence
     from hjprofile.studies.slow_erosion import slow_erosion as slow_erosion
+    from hjprofile.studies.stability import Stability as Stability
+    from hjprofile.studies.stability import stability as stability
     from hjprofile.studies.statements import Statements as Statements
     from hjprofile.studies.statements import statements as statements
     from hjprofile.studies.verdict import Consistency as Consistency
 
 _MODULES = {
+    "error_page": ("explain",),
     "errors": ("InputError", "RunError"),
     "studies.accuracy": ("Comparison", "compare", "observed_order"),
     "studies.calibration": ("Calibration", "fit"),
     "studies.chart": ("chart",),
     "studies.consistency": ("check", "check_consistency"),
+    "studies.dependence": ("Dependence", "dependence"),
     "studies.slow_erosion": ("slow_erosion",),
+    "studies.stability": ("Stability", "stability"),
     "studies.statements": ("Statements", "statements"),
     "studies.verdict": ("Consistency",),
+    "output.plots.animation": ("animate",),
+    "output.plots.user_axes": ("plot",),
     "output.store": ("load_run", "write_run"),
     "output.sweep_results": ("sweep",),
+    "output.vtk": ("export_vtk",),
     "problem": ("Problem",),
     "problem.case": ("Case", "load_case"),
     "problem.case_files": ("shipped_cases",),
@@ -77,6 +93,8 @@ _MODULES = {
     "problem.given": ("profile",),
     "problem.profiles": ("bumps", "kinks", "points", "steady", "steps"),
     "problem.survey": ("read_survey", "survey"),
+    "solvers.closed_forms": ("exact",),
+    "solvers.method_table": ("methods",),
     "solvers.run": ("Run",),
     "solvers.solve": (
         "solve", "solve_case", "solve_characteristics", "solve_conservative", "solve_hj", "solve_inverse",

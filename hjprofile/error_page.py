@@ -56,6 +56,25 @@ def sections() -> dict[str, Section]:
     return {name: section._replace(text=_plain("\n".join(lines[name]))) for name, section in found.items()}
 
 
+def explain(heading: str) -> str:
+    """Return the text of a section of the page on errors.
+
+    Args:
+        heading: the heading as a message of a command names it, in words or with hyphens.
+
+    Returns:
+        The text below the heading, without that of its subsections.
+
+    Raises:
+        InputError: if there is no such heading.
+
+    >>> import hjprofile as hj
+    >>> "Its file" in hj.explain("a folder of another case")
+    True
+    """
+    return sections()[find_section(str(heading))].text
+
+
 def find_section(words: str) -> str:
     """Return the anchor of the section with this anchor or heading. Raise InputError if there is none."""
     known = sections()

@@ -17,7 +17,7 @@ WINGS = ("grids", "fronts", "characteristics", "inverse", "layer", "vertical_ste
 # from the bottom up
 ROOMS = (
     "errors", "error_page", "interrupts", "files", "problem", "solvers.kernels", "solvers.stop", "solvers.norms",
-    "solvers.run",
+    "solvers.run_tables", "solvers.run",
     "solvers", "studies", "output", "cli",
 )  # fmt: skip
 KERNELS = ("solvers.kernels", *(f"solvers.{wing}.kernels" for wing in WINGS))
@@ -164,7 +164,7 @@ def test_the_walk_from_the_command_to_the_kernel_is_short():
         assert any(below in own_imports(tree(m)) for m in READING_PATH[: READING_PATH.index(below)]), (above, below)
 
 
-EVERYBODYS = {"run", "norms", "stop", "kernels"}  # parts of solvers/ that the page leaves out
+EVERYBODYS = {"run", "run_tables", "norms", "stop", "kernels"}  # parts of solvers/ that the page leaves out
 
 
 def part_of(module):
@@ -218,6 +218,12 @@ def test_kernels_are_made_of_kernels():
     taken = set().union(*(own_imports(tree(m)) for m in kernels)) - {""}
     assert {m for m in taken if not inside(m, KERNELS)} == {"files"}
     assert [m for m in kernels if "files" in own_imports(tree(m))] == ["solvers.kernels.disk_cache"]
+
+
+def test_imports_by_name_are_few():
+    """The tests above do not see them: `Run.plot`, and the names of the package."""
+    by_name = {m for m in MODULES if {"importlib", "importlib.import_module"} & imported(tree(m))}
+    assert by_name == {"", "solvers.run"}
 
 
 def test_no_circle_of_modules():

@@ -85,27 +85,20 @@ def stability(case: CasePath, /, *, out: Out = None, json: Json = False) -> None
     """
     from hjprofile.output.plots.study_pictures import stability_picture
     from hjprofile.output.store import to_csv, write_picture
-    from hjprofile.studies.stability import Trial, measured_limit
+    from hjprofile.studies.stability import Trial
     from hjprofile.studies.stability import stability as scan
 
     folder, (loaded,) = load_cases((case,), out)
     folder.open()
     with Progress(f"scanning {loaded.name}") as progress:
-        trials = scan(loaded.name, loaded.problem, loaded.grid, progress)
-    lines = [f"{loaded.name}: {len(trials)} trials. Largest stable CFL number, measured (proved):"]
-    limits = {}
-    for method, theory in {t.method: t.theory for t in trials if t.parameter == "cfl"}.items():
-        low, high = measured_limit(trials, method)
-        limits[method] = {"holds_at": low, "fails_at": high, "theory": theory}
-        limit = f"{low:.4g} to {high:.4g}" if high < float("inf") else f"all up to {low:.4g}"
-        proved = f"{theory:.4g}" if theory == theory else "none"
-        lines.append(f"  {method:22} {limit:18} ({proved})")
-    files = folder.write({"stability.csv": to_csv(Trial._fields[:6], [t[:6] for t in trials])})
-    picture = write_picture(folder, "stability.png", stability_picture, trials)
-    say(json, "\n".join([*lines, _written(folder, files, picture)]))
+        found = scan(loaded, progress)
+    limits = {m: {"holds_at": low, "fails_at": high, "theory": p} for m, (low, high, p) in found.limits.items()}
+    files = folder.write({"stability.csv": to_csv(Trial._fields[:6], [t[:6] for t in found.rows])})
+    picture = write_picture(folder, "stability.png", stability_picture, found.rows)
+    say(json, f"{found}\n{_written(folder, files, picture)}")
     answer(
         json,
-        {"case": loaded.name, "limits": limits, "trials": [t._asdict() for t in trials]}
+        {"case": loaded.name, "limits": limits, "trials": [t._asdict() for t in found.rows]}
         | {"files": files + picture.files},
     )
 
@@ -118,24 +111,23 @@ def dependence(case: CasePath, /, *, out: Out = None, json: Json = False) -> Non
     """
     from hjprofile.output.plots.study_pictures import dependence_picture
     from hjprofile.output.store import to_csv, write_picture
-    from hjprofile.studies.dependence import Distance, summary
+    from hjprofile.studies.dependence import Distance
     from hjprofile.studies.dependence import dependence as study
 
     folder, (loaded,) = load_cases((case,), out)
     folder.open()
     with Progress(f"measuring {loaded.name}") as progress:
-        distances = study(loaded.name, loaded.problem, loaded.grid, progress)
-    sentences, failed = summary(distances)
-    files = folder.write({"dependence.csv": to_csv(Distance._fields, distances)})
-    picture = write_picture(folder, "dependence.png", dependence_picture, distances)
-    say(json, "\n  ".join([f"{loaded.name}:", *sentences]))
+        found = study(loaded.problem, loaded.grid, progress, loaded.name)
+    files = folder.write({"dependence.csv": to_csv(Distance._fields, found.rows)})
+    picture = write_picture(folder, "dependence.png", dependence_picture, found.rows)
+    say(json, "\n  ".join([f"{loaded.name}:", *found.found]))
     say(json, _written(folder, files, picture))
     answer(
         json,
-        {"case": loaded.name, "passes": not failed, "found": sentences, "files": files + picture.files},
+        {"case": loaded.name, "passes": found.holds, "found": found.found, "files": files + picture.files},
     )
-    if failed:
-        raise RunError(f"{loaded.source}: {failed}")
+    if not found.holds:
+        raise RunError(f"{loaded.source}: {found.violated}")
 
 
 @app.command

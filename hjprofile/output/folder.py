@@ -26,7 +26,7 @@ _HALF = re.compile(rf"\..+\.({_FORMS})\.\w{{8}}")  # partial files of `write_who
 MEMBERS = "members/*.npz"  # each identifies its own run
 # names that a record may list; no other file is ever removed
 _NAME = re.compile(rf"{re.escape(MEMBERS)}|(vtk/)?\w[\w.+-]*\.({_FORMS})")
-_ABOUT = "a-folder-of-another-case"
+ABOUT = "a-folder-of-another-case"
 
 
 class Owner(NamedTuple):
@@ -119,7 +119,7 @@ class ResultFolder:
         else:
             raise InputError(
                 f"{path} belongs to {found.owner}, not to {owner}; name another folder with --out, or delete this one",
-                _ABOUT,
+                ABOUT,
             )
 
     def __str__(self) -> str:

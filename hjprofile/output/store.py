@@ -25,7 +25,8 @@ from hjprofile.problem.ranges import as_path, instance
 from hjprofile.problem.stored import read_profile
 from hjprofile.problem.units import SurveyLine, Units
 from hjprofile.solvers.norms import Norms
-from hjprofile.solvers.run import COORDINATES, Event, KinkRecord, Run, Verdict, VerticalStep
+from hjprofile.solvers.run import Event, KinkRecord, Run, Verdict, VerticalStep
+from hjprofile.solvers.run_tables import COORDINATES
 
 _Row = TypeVar("_Row", KinkRecord, Event, VerticalStep)
 

@@ -5,13 +5,48 @@ Files are serialised in memory and written by Python, because VTK's own writer d
 
 from __future__ import annotations
 
+from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pyvista
 from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLRectilinearGridWriter
 
+from hjprofile.errors import InputError
+from hjprofile.output.folder import ABOUT, ResultFolder, owner_of_run
+from hjprofile.problem.ranges import as_path, instance
 from hjprofile.solvers.run import Array, Run
+
+
+def export_vtk(run: Run, folder: str | Path) -> list[Path]:
+    """Write the VTK files of a run, for ParaView.
+
+    Args:
+        run: the run.
+        folder: the path of the folder, which is created. The snapshots of an earlier export of the same run there are
+            removed.
+
+    Returns:
+        The paths of the files: `profile.pvd` and `kinks.pvd` with a `.vtp` file for each saved time, and `sheet.vtr`.
+
+    Raises:
+        InputError: for an argument of another type, or if the folder belongs to another run or case.
+        OSError: if the folder is not writable.
+
+    >>> import tempfile
+    >>> import hjprofile as hj
+    >>> problem = hj.Problem(hj.rational(), hj.kinks([-2.0], [1.0]), end=0.1, snapshots=2)
+    >>> files = hj.export_vtk(hj.solve_hj(problem, hj.Grid(left=-4.0, cells=40)), tempfile.mkdtemp())
+    >>> sorted(file.name for file in files)[-3:]
+    ['profile_0000.vtp', 'profile_0001.vtp', 'sheet.vtr']
+    """
+    instance("run", run, Run)
+    place = ResultFolder(as_path("folder", folder), owner_of_run(run.case), replace=False)
+    if place.stale:  # an export must not remove the data of another run
+        raise InputError(f"{folder} belongs to another run; name another folder, or delete this one", ABOUT)
+    files = vtk_files(run)
+    place.open().remove(("*.vtp",))
+    return place.write(files)
 
 
 def vtk_files(run: Run) -> dict[str, bytes | str]:

@@ -17,8 +17,9 @@ from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
-from hjprofile.problem.model import Prescribed, WholeLine
+from hjprofile.problem.model import Prescribed, SlowErosion, WholeLine
 from hjprofile.problem.profiles import Kinks, Profile, Steady
+from hjprofile.problem.ranges import instance
 from hjprofile.solvers.run import Array, Event, KinkRecord, Run
 from hjprofile.solvers.snapshot_bounds import BOUNDS, SnapshotBounds
 from hjprofile.solvers.snapshots import Solution, assembled, walk
@@ -81,6 +82,33 @@ class ClosedForm:
             quad(lambda tau: float(self.K(tau, np.array([x]))[0]) - 1.0, a, b, epsabs=1e-12, epsrel=1e-12)[0]
             for a, b in pairwise(marks)
         )
+
+
+def exact(problem: Problem) -> ClosedForm | None:
+    """Return the closed form of the solution of a problem if it is known.
+
+    It is known for slow erosion with one kink on a neutral slope, also on the whole line, for a steady slope, and for
+    one kink that moves into a steady slope.
+
+    Args:
+        problem: law, profile and model; its end is not used.
+
+    Returns:
+        The exact solution, or None if no closed form is known.
+
+    Raises:
+        InputError: if the argument is of another type.
+
+    >>> import numpy as np
+    >>> import hjprofile as hj
+    >>> form = hj.exact(hj.Problem(hj.rational(), hj.kinks([-2.0], [1.0]), end=1.0))
+    >>> print(f"{form.kink(0.5):.4f} {form.u(0.5, np.array([-1.0]))[0]:.4f}")
+    -1.5722 -0.5643
+    >>> hj.exact(hj.Problem(hj.rational(), hj.bumps([1.0], [-2.0], [0.5]), end=1.0)) is None
+    True
+    """
+    instance("problem", problem, Problem)
+    return closed_form(problem) if isinstance(problem.model, SlowErosion | WholeLine) else None
 
 
 def closed_form(problem: Problem) -> ClosedForm | None:

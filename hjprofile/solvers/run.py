@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
@@ -15,22 +16,14 @@ from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.ranges import read_only
 from hjprofile.problem.units import SurveyLine, Units
 from hjprofile.solvers.norms import Limit, Norms, States, limits, norms
+from hjprofile.solvers.run_tables import FIELDS, Field, dataset, table
 from hjprofile.solvers.stop import ROBUST_METHOD, Place, Reason, Stop, Time
 
 if TYPE_CHECKING:
+    import pandas
     import xarray
 
 Array = np.ndarray
-
-FIELDS: dict[str, tuple[tuple[str, ...], dict[str, str]]] = {  # name -> dimensions, CF attributes
-    "time": (("time",), {"long_name": "supplied mass of grains", "units": "1", "axis": "T"}),
-    "x": (("node",), {"long_name": "distance from the crest, uphill positive", "units": "1", "axis": "X"}),
-    "x_cell": (("cell",), {"long_name": "midpoints of the cells", "units": "1"}),
-    "u": (("time", "node"), {"long_name": "height of the standing profile", "units": "1"}),
-    "q": (("time", "cell"), {"long_name": "excess slope du/dx - 1, mean over the cell", "units": "1"}),
-    "K": (("time", "node"), {"long_name": "grain flux relative to the supply", "units": "1"}),
-}
-COORDINATES = "time", "x", "x_cell", "supplied_volume", "distance", "distance_cell"
 
 
 class State(NamedTuple):
@@ -323,26 +316,56 @@ class Run:
         return text | (self.units.attributes if self.units else {})
 
     @property
-    def fields(self) -> dict[str, tuple[tuple[str, ...], Array, dict[str, str]]]:
-        """The variables of `profile.nc` and `to_xarray`: name -> dimensions, values, CF attributes."""
+    def fields(self) -> dict[str, Field]:
+        """The variables of `profile.nc`: name -> dimensions, values, CF attributes."""
         found = {name: (dims, getattr(self, name), about) for name, (dims, about) in FIELDS.items()}
         if self.units is None:
             return found
         return found | self.units.fields(self.time, self.x, self.x_cell, self.u)
 
-    def to_xarray(self) -> xarray.Dataset:
-        """Return an `xarray.Dataset` of u, q and K, as `xarray` reads it from `profile.nc`.
+    def plot(self, ax: Any = None, kind: str = "profile") -> Any:
+        """Plot the run on the axes `ax` of matplotlib, or in a new figure. See `hjprofile.plot`, which this calls.
 
-        Its dimensions are `time` and `node` or `cell`, with the coordinates `x` and `x_cell`. The run of a survey has
-        the variable `height` and the coordinates `distance`, `distance_cell` and `supplied_volume` too. The method
-        requires xarray, which is not a dependency of hjprofile. The arrays are shared with the run and read-only; those
-        of `.copy(deep=True)` are writable.
+        >>> import hjprofile as hj
+        >>> from matplotlib.figure import Figure
+        >>> problem = hj.Problem(hj.rational(), hj.kinks([-2.0], [1.0]), end=0.1)
+        >>> run = hj.solve_hj(problem, hj.Grid(left=-4.0, cells=40))
+        >>> run.plot(ax=Figure().subplots()).get_ylabel()
+        'height u'
         """
-        import xarray
+        # by name: pictures are above the solvers, which import none of them
+        return import_module("hjprofile.output.plots.user_axes").plot(self, kind, ax)
 
-        arrays = self.fields
-        coordinates = {name: arrays.pop(name) for name in [*arrays] if name in COORDINATES}
-        return xarray.Dataset(arrays, coordinates, self.attributes)
+    def to_xarray(self) -> xarray.Dataset:
+        """Return an `xarray.Dataset` of u, q and K, with the coordinates `time`, `x` and `x_cell` as its dimensions.
+
+        u and K have the dimensions (`time`, `x`), q has (`time`, `x_cell`). The run of a survey has the variable
+        `height` and the coordinates `distance`, `distance_cell` and `supplied_volume` too. `profile.nc`, opened by
+        xarray, is the same dataset after `.swap_dims(node="x", cell="x_cell")`. The method requires xarray, which is
+        not a dependency of hjprofile. u, q and K are shared with the run and read-only; those of `.copy(deep=True)`
+        are writable.
+
+        >>> import hjprofile as hj
+        >>> problem = hj.Problem(hj.rational(), hj.kinks([-2.0], [1.0]), end=0.1)
+        >>> data = hj.solve_hj(problem, hj.Grid(left=-4.0, cells=40)).to_xarray()
+        >>> data.u.sel(time=0.0, x=-3.02, method="nearest").item()
+        -3.0
+        """
+        return dataset(self.fields, self.attributes)
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return a `pandas.DataFrame` with one row for each saved time and node, indexed by `time` and `x`.
+
+        Its columns are u, q and K, and for a survey `supplied_volume`, `distance` and `height`. q is the mean over the
+        cell that ends at x, so it is NaN at the left end, and u rises by (1 + q) Δx from the row before. The method
+        requires pandas, which is not a dependency of hjprofile.
+
+        >>> import hjprofile as hj
+        >>> problem = hj.Problem(hj.rational(), hj.kinks([-2.0], [1.0]), end=0.1, snapshots=2)
+        >>> hj.solve_hj(problem, hj.Grid(left=-4.0, cells=40)).to_dataframe().shape
+        (82, 3)
+        """
+        return table(self.fields)
 
     def meets(self, tolerance: float) -> bool:
         """Return True if the estimate of the error is known and at most the tolerance."""

@@ -169,7 +169,7 @@ def replaced(text, name, content):
 def main():
     started = time.time()
     pictures()
-    trials = study.stability("travelling_kink", KINK, hj.Grid(-10.0, 1000))
+    trials = study.scan("travelling_kink", KINK, hj.Grid(-10.0, 1000))
     (DOCS / "figures" / "stability.png").write_bytes(stability_picture(trials))
     page = DOCS / "stability.md"
     text = replaced(page.read_text(encoding="utf-8"), "limits", limits(trials))

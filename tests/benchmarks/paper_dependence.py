@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 import hjprofile as hj
 from hjprofile.output.plots.study_pictures import dependence_picture
-from hjprofile.studies.dependence import dependence, solve_together, summary
+from hjprofile.studies.dependence import distances_of, solve_together, summary
 from hjprofile.studies.proved_constant import proof
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
@@ -80,7 +80,7 @@ def lipschitz():
 def main():
     for name in ("breaking_bump", "two_kinks", "deposit", "log_law", "hillslope"):
         case = hj.load_case(name)
-        distances = dependence(name, case.problem, case.grid)
+        distances = distances_of(name, case.problem, case.grid)
         print(name, *summary(distances)[0], sep="\n  ")
         if name == SHOWN:
             (FIGURES / "dependence.png").write_bytes(dependence_picture(distances))

@@ -117,11 +117,11 @@ def test_chart_stability_and_dependence(scene, ask, monkeypatch):
         stability.Trial("scene", "godunov", "cfl", value, outcome, "", 1.0)
         for value, outcome in ((0.5, stability.HOLDS), (1.0, stability.HOLDS), (2.0, stability.FAILS))
     ]
-    monkeypatch.setattr(stability, "stability", lambda *_: trials)
+    monkeypatch.setattr(stability, "scan", lambda *_: trials)
     document = ask("stability", "scene.toml")
     assert document["limits"] == {"godunov": {"holds_at": 1.0, "fails_at": 2.0, "theory": 1.0}}
     assert document["trials"] == [t._asdict() | {"cfl": None} for t in trials]
-    monkeypatch.setattr(stability, "stability", lambda *_: trials[:2])
+    monkeypatch.setattr(stability, "scan", lambda *_: trials[:2])
     assert ask("stability", "scene.toml")["limits"]["godunov"]["fails_at"] is None  # it never does
 
     for name, value in (("PAIRS", 1), ("CELLS", 80)):

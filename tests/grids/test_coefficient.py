@@ -289,10 +289,10 @@ def test_fronts_and_characteristics_refuse(tmp_path):
         hj.solve(problem, 1e-3)
     with pytest.raises(hj.InputError, match="needs the exact solution, does not take a prescribed coefficient"):
         hj.chart("case", problem, hj.Grid(-5.0, 400))
-    from hjprofile.studies.stability import stability
+    from hjprofile.studies.stability import scan
 
     with pytest.raises(hj.InputError, match="stability does not take a prescribed coefficient"):
-        stability("case", problem, hj.Grid(-5.0, 400))
+        scan("case", problem, hj.Grid(-5.0, 400))
 
 
 # --- where coefficients come from -----------------------------------------------------------------------------------

@@ -124,8 +124,8 @@ def test_the_command(result, call):
     [
         (["--out", "film.avi"], "ends in .gif or .mp4, not in '.avi'"),
         (["--out", "film"], "ends in .gif or .mp4, not in ''"),
-        (["--fps", "0"], "--fps 0.0 must be a positive number"),
-        (["--fps", "nan"], "--fps nan must be a positive number"),
+        (["--fps", "0"], "fps = 0.0 must be a positive number"),
+        (["--fps", "nan"], "fps = nan must be a positive number"),
         (["--out", "film.mp4"], "needs the program ffmpeg, which is not on the PATH"),
     ],
 )

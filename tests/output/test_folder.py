@@ -209,7 +209,7 @@ def test_a_picture_of_a_study_that_fails_costs_no_data(in_tmp, call, monkeypatch
         raise ValueError("no font")
 
     trial = stability.Trial("case", "godunov", "cfl", 0.5, "holds", "", 1.0)
-    monkeypatch.setattr(stability, "stability", lambda *_: [trial])
+    monkeypatch.setattr(stability, "scan", lambda *_: [trial])
     monkeypatch.setattr("hjprofile.output.plots.study_pictures.draw_stability", failing)
     code, out, err = call("stability", write_case("case.toml"))
     assert (code, err) == (0, "") and names("results/case") == {"stability.csv"}

@@ -15,9 +15,7 @@ from hjprofile.output.plots.animation import animation
 from hjprofile.output.store import write_run
 from hjprofile.problem.case import parse_case
 from hjprofile.problem.ranges import RANGES, as_number
-from hjprofile.studies.dependence import dependence
 from hjprofile.studies.fractional import fractional_steps
-from hjprofile.studies.stability import stability
 
 NUMBERS = [1e308, -1e308, 5e-324, -0.0, float("inf"), float("nan"), 10**400, -(10**400), 1e-16, 1e16]
 OTHERS = [True, "1", None, [], 1j, np.array([0.5]), np.datetime64("2024-05-01"), {}]
@@ -143,8 +141,9 @@ CALLS |= {
     "fit.height": lambda v: hj.fit("hillslope", [0.0, 1.0], v, ["time.end"]),
     "fit.vary": lambda v: hj.fit("hillslope", [0.0, 1.0, 2.0], [0.0, 1.0, 2.0], v),
     "fit.sigma": lambda v: hj.fit("hillslope", [0.0], [0.0], ["time.end"], v),
-    "stability": lambda v: stability("", v, GRID),
-    "dependence": lambda v: dependence("", v, GRID),
+    "stability": lambda v: hj.stability(v),
+    "dependence": lambda v: hj.dependence(v, GRID),
+    "dependence.grid": lambda v: hj.dependence(problem(), v),
     "statements": lambda v: hj.statements(v, GRID),
     "fractional_steps": lambda v: fractional_steps(problem(), GRID, "godunov", [v]),
     "animation": lambda v: animation(None, ".gif", v),

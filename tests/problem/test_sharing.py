@@ -7,7 +7,7 @@ import pytest
 
 import hjprofile as hj
 from hjprofile.problem.case import parse_case
-from hjprofile.solvers.run import FIELDS
+from hjprofile.solvers.run_tables import FIELDS
 
 GRID = hj.Grid(-6.0, 60)
 X = np.array([-4.0, -3.0, -2.0])

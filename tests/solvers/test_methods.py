@@ -1,6 +1,7 @@
 """The table of methods: what a row says of a method is what the method does."""
 
 import dataclasses
+import re
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -101,3 +102,26 @@ def test_a_flux_is_named_where_it_is_written_and_in_its_row():
     library = Path(hj.__file__).parent
     spelled = [path.name for path in sorted(library.rglob("*.py")) if "godunov" in path.read_text(encoding="utf-8")]
     assert spelled == ["conservation.py", "methods.py", "stop.py"]
+
+
+def test_the_table_for_a_reader_has_the_orders_of_the_page_on_methods():
+    """docs/methods.md states the order on smooth data; weno5 has 5 in space and 4 in time."""
+    page = (Path(__file__).parents[2] / "docs" / "methods.md").read_text(encoding="utf-8")
+    stated = dict(re.findall(r"^\| `([\w-]+)`(?: \(default\))? \| (?:height|slope) \| (?:4 to )?(\d) \|", page, re.M))
+    rows = {row.name: row for row in hj.methods()}
+    assert list(rows) == list(METHODS) and len(stated) >= 7
+    assert {name: rows[name].order for name in stated} == {name: float(order) for name, order in stated.items()}
+    assert all(rows[f"conservative-{name}"].order == rows[name].order for name in ("godunov", "eno2", "weno5"))
+    head, *lines = repr(hj.methods()).splitlines()
+    assert [line.split()[0] for line in lines] == list(METHODS) and head.split()[:2] == ["method", "form"]
+
+
+def test_a_row_supports_what_the_method_accepts():
+    problem = hj.Problem(hj.rational(), hj.steady(0.4), end=0.05, snapshots=2)  # a flux enters
+    grid = hj.Grid(-1.0, 20)
+    for row in hj.methods():
+        if row.form == "height":
+            assert "inflow" in row.supports and hj.solve_hj(problem, grid, row.name).done
+    assert "inflow" not in {r.name: r for r in hj.methods()}["fronts"].supports
+    with pytest.raises(hj.InputError, match="does not take"):
+        hj.track_fronts(problem, grid)

@@ -19,7 +19,7 @@ def distances():
         patch.setattr(study, "CELLS", 400)
         patch.setattr(study, "PAIRS", 5)
         patch.setattr(study, "WAVES", 2)
-        return study.dependence("T2", T2, hj.Grid(-10.0, 2000))
+        return study.distances_of("T2", T2, hj.Grid(-10.0, 2000))
 
 
 @pytest.mark.parametrize(
@@ -31,7 +31,7 @@ def test_with_one_prescribed_coefficient_no_distance_grows(k, monkeypatch):
     monkeypatch.setattr(study, "PAIRS", 3)
     monkeypatch.setattr(study, "WAVES", 1)
     problem = hj.Problem(T2.law, T2.profile, 2.0, coefficient=coefficient(k))
-    found = study.dependence("k", problem, hj.Grid(-10.0, 100))
+    found = study.distances_of("k", problem, hj.Grid(-10.0, 100))
     for member in {d.member for d in of(found, "data")}:
         pair = [d.distance for d in of(found, "data") if d.member == member]
         assert np.diff(pair).max() <= 1e-13  # measured 8e-15
@@ -62,7 +62,7 @@ def test_what_goes_wrong_on_the_way_is_a_sentence():
     """A coefficient that is positive at both ends in time only."""
     problem = hj.Problem(T2.law, T2.profile, 2.0, coefficient=coefficient("(t - 1)**2 - 0.01"))
     with pytest.raises(hj.RunError, match=r"k: .*is not a positive number"):
-        study.dependence("k", problem, hj.Grid(-10.0, 100))
+        study.distances_of("k", problem, hj.Grid(-10.0, 100))
 
 
 def test_distances_of_zero_have_no_order(distances):
@@ -148,16 +148,16 @@ def test_the_bound_counts_what_a_coefficient_varies_by():
 def test_what_cannot_be_studied_is_refused():
     steady = hj.Problem(hj.rational(), hj.steady(0.5), end=1.0)
     with pytest.raises(InputError, match="flux that enters"):
-        study.dependence("steady", steady, hj.Grid(-2.0, 100))
+        study.distances_of("steady", steady, hj.Grid(-2.0, 100))
     gone = hj.Problem(hj.rational(), hj.kinks([-1.0], [0.5]), end=400.0)  # it leaves at t = 1.3
     for nothing in (gone, hj.Problem(hj.rational(), hj.steps([-2.0, -1.0], [0.0]), end=1.0)):
         with pytest.raises(
             InputError, match=r"gone: the slope is neutral from the first measurement on, at t = \S+; set"
         ):
-            study.dependence("gone", nothing, hj.Grid(-2.0, 100))
+            study.distances_of("gone", nothing, hj.Grid(-2.0, 100))
     still = hj.Problem(hj.rational(), hj.bumps([0.5], [-3.0], [0.5]), end=0.0)
     with pytest.raises(InputError, match="end = 0; the study of dependence"):
-        study.dependence("still", still, hj.Grid(-6.0, 100))
+        study.distances_of("still", still, hj.Grid(-6.0, 100))
 
 
 @pytest.mark.parametrize(
@@ -167,7 +167,7 @@ def test_what_cannot_be_studied_is_refused():
 def test_other_models_are_refused_by_their_case(name, words):
     case = hj.load_case(name)
     with pytest.raises(InputError, match=f"^{name}: .*{words}"):
-        study.dependence(name, case.problem, case.grid)
+        study.distances_of(name, case.problem, case.grid)
 
 
 def test_the_picture_shows_every_pair(distances):

@@ -26,7 +26,7 @@ def trials():
     with pytest.MonkeyPatch.context() as patch:
         for name, values in FEWER.items():
             patch.setattr(study, name, values)
-        return study.stability("kink", KINK, hj.Grid(-10.0, 1000))
+        return study.scan("kink", KINK, hj.Grid(-10.0, 1000))
 
 
 def outcomes(trials, parameter, method=None):
@@ -123,7 +123,7 @@ def test_picture(trials):
 )
 def test_nothing_to_scan(problem, words):
     with pytest.raises(hj.InputError, match=words):
-        study.stability("scene", problem, hj.Grid(-3.0, 100))
+        study.scan("scene", problem, hj.Grid(-3.0, 100))
 
 
 def test_extremes_are_solved(monkeypatch):

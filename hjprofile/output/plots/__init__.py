@@ -1,4 +1,7 @@
-"""Pictures of runs and studies, drawn off screen without pyplot; the only package that imports matplotlib."""
+"""Pictures of runs and studies; the only package that imports matplotlib.
+
+They are drawn off screen without pyplot, except for `user_axes.py`.
+"""
 
 import logging
 import os

@@ -17,10 +17,11 @@ from matplotlib.patches import Patch
 from PIL import Image
 
 from hjprofile.errors import InputError, RunError
+from hjprofile.files import write_whole
 from hjprofile.interrupts import undone
 from hjprofile.output.plots import style
 from hjprofile.output.plots.style import DEPOSITED, ERODED, INK, amount, styled
-from hjprofile.problem.ranges import as_number, shown
+from hjprofile.problem.ranges import as_number, as_path, instance, shown
 from hjprofile.solvers.run import Array, Run
 
 DPI = 120  # 600 pixels wide
@@ -29,6 +30,37 @@ SLOWEST, FASTEST = 0.01, 50.0  # images per second; a GIF stores their duration 
 LAST = 1.5  # duration of the last image in seconds
 COLOURS = 64  # in the palette of a GIF
 FORMS = ".gif", ".mp4"
+
+
+def animate(run: Run, path: str | Path, fps: float = FPS, progress: Callable[[float], None] | None = None) -> Path:
+    """Write the saved times of a run as an animation.
+
+    Args:
+        run: the run.
+        path: the file, which ends in .gif, or in .mp4 if the program ffmpeg is installed. Its folder is created.
+        fps: the number of saved times per second, from 0.01 to 50.
+        progress: a function that is called with the completed fraction in [0, 1].
+
+    Returns:
+        The path of the file, which is complete or absent.
+
+    Raises:
+        InputError: for another ending, for a rate out of range, and for an MP4 without ffmpeg.
+        RunError: if ffmpeg fails.
+        OSError: if the file cannot be written.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import hjprofile as hj
+    >>> problem = hj.Problem(hj.rational(), hj.kinks([-2.0], [1.0]), end=0.1, snapshots=2)
+    >>> run = hj.solve_hj(problem, hj.Grid(left=-4.0, cells=40))
+    >>> hj.animate(run, Path(tempfile.mkdtemp()) / "slope.gif").name
+    'slope.gif'
+    """
+    instance("run", run, Run)
+    path = as_path("path", path)
+    write_whole(path, animation(run, path.suffix.lower(), fps, progress or (lambda _: None)))
+    return path
 
 
 @styled
@@ -42,7 +74,7 @@ def animation(run: Run, form: str, fps: float = FPS, progress: Callable[[float],
         raise InputError(f"an animation ends in {' or '.join(FORMS)}, not in {form!r}", "a-moving-picture")
     if not SLOWEST <= as_number(fps) <= FASTEST:
         raise InputError(
-            f"--fps {shown(fps)} must be a positive number of images per second, from {SLOWEST:g} to {FASTEST:g}",
+            f"fps = {shown(fps)} must be a positive number of images per second, from {SLOWEST:g} to {FASTEST:g}",
             "a-moving-picture",
         )
     ffmpeg = shutil.which("ffmpeg")

@@ -39,13 +39,19 @@ _BOUNDS: tuple[dict[str, Any], ...] = (
 @styled
 def draw_norms(run: Run) -> Figure:
     """Draw each norm of `Run.norms` over the supplied mass, with its bounds if the theory gives one."""
-    bounds = {column: run.norm_limits.get(column, ()) for column in LABELS}
-    keys = [Line2D([], [], label="measured", **_MEASURED)]
-    keys += [Line2D([], [], label="bound", **_BOUNDS[0])] * any(bounds.values())
-    keys += [Line2D([], [], label="second bound", **_BOUNDS[1])] * any(len(limits) > 1 for limits in bounds.values())
     figure = style.sheet(run.title, style.about(run), 1, 5.6, right=0.22)
     figure.subplots_adjust(wspace=0.42, hspace=0.14, left=0.18)
     panels = figure.subplots(4, 2, sharex=True).ravel()
+    keys = norms_on(panels, run)
+    style.legend_above(figure, keys)
+    figure.align_ylabels(panels[::2])
+    figure.align_ylabels(panels[1::2])
+    return figure
+
+
+def norms_on(panels: Sequence[Axes], run: Run) -> list[Line2D]:
+    """Draw each norm into its panel, two in a row; return the keys of a legend."""
+    bounds = {column: run.norm_limits.get(column, ()) for column in LABELS}
     unit, t_label, numbers = style.axis_of_time(run.time, run.units)
     time = unit * run.time
     for axes, (column, label) in zip(panels, LABELS.items(), strict=True):
@@ -56,10 +62,9 @@ def draw_norms(run: Run) -> Figure:
         axes.xaxis.set_major_formatter(numbers)
     for axes in panels[-2:]:
         axes.set_xlabel(t_label)
-    style.legend_above(figure, keys)
-    figure.align_ylabels(panels[::2])
-    figure.align_ylabels(panels[1::2])
-    return figure
+    keys = [Line2D([], [], label="measured", **_MEASURED)]
+    keys += [Line2D([], [], label="bound", **_BOUNDS[0])] * any(bounds.values())
+    return keys + [Line2D([], [], label="second bound", **_BOUNDS[1])] * any(len(b) > 1 for b in bounds.values())
 
 
 def _panel(axes: Axes, time: Array, values: Array, bounds: Sequence[Limit], positive: bool) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
@@ -101,18 +102,24 @@ def _shade(axes: Axes, x: Array, before: Array | float, after: Array) -> list[An
 
 @styled
 def draw_diagram(run: Run) -> Figure:
-    """Draw q over the (x, t) plane with the paths of the kinks, their births, merges and exits, and characteristics.
+    """Draw q over the (x, t) plane with the paths of the kinks, their births, merges and exits, and characteristics."""
+    traced = characteristics(run)
+    keys = keys_of_diagram(run, traced is not None)
+    rows = -(-len(keys) // 5)
+    figure = style.sheet(run.title, style.about(run), rows, 3.1)
+    sheet = diagram_on(figure.subplots(), run, traced)
+    ticks_of_q(style.bar_of(figure, sheet, "excess slope q"), run)
+    style.legend_above(figure, keys, rows)
+    return figure
 
-    `slope_between` gives q between saved times. Omit characteristics if K and q do not determine them
-    (`traceable_law`).
+
+def diagram_on(axes: Axes, run: Run, traced: Array | None) -> AxesImage:
+    """Draw q over the (x, t) plane, kinks, events and the characteristics `traced`; return the image of q.
+
+    `slope_between` gives q between saved times.
     """
     x, _, x_label, _ = axes_units(run, run.units)
     scale = run.units.x if run.units else np.asarray
-    traced = _characteristics(run)
-    keys = _keys_of_diagram(run, traced is not None)
-    rows = -(-len(keys) // 5)
-    figure = style.sheet(run.title, style.about(run), rows, 3.1)
-    axes = figure.subplots()
     unit, t_label, numbers = style.axis_of_time(run.time, run.units)
     (first, last), norm = span(run.time), _norm_of_q(run)
     times, places = (a + (b - a) * (np.arange(n) + 0.5) / n for (a, b), n in zip(
@@ -122,12 +129,6 @@ def draw_diagram(run: Run) -> Figure:
         slope_between(run, times, places), cmap=EXCESS, norm=norm, origin="lower", aspect="auto",
         extent=(x[0], x[-1], unit * first, unit * last), interpolation="nearest",
     )  # fmt: skip
-    bar = style.bar_of(figure, sheet, "excess slope q")
-    least, most = _ends_of_q(run, norm)
-    many = 4 if least < 0.0 < most else 8
-    bar.set_yticks(np.unique([*style.round_numbers(least, 0.0, many), *style.round_numbers(0.0, most, many)]))
-    bar.yaxis.set_major_formatter(lambda q, _: f"{q:g}".replace("-", "−"))
-    bar.set_ylim(least, most)
     if run.time.size == 1:
         axes.set_yticks([unit * float(run.time[0])])
     if traced is not None:
@@ -148,12 +149,20 @@ def draw_diagram(run: Run) -> Figure:
     if lost:
         ends = scale(np.array([path.x[-1] for path in lost])), [unit * path.time[-1] for path in lost]
         axes.plot(*ends, **_UNRESOLVED, clip_on=False, zorder=3)
-    style.legend_above(figure, keys, rows)
     axes.set_ylabel(t_label)
     axes.yaxis.set_major_formatter(numbers)
     style.axis_of_x(axes, x, x_label)
     axes.set_ylim(unit * first, unit * last)
-    return figure
+    return sheet
+
+
+def ticks_of_q(bar: Axes, run: Run) -> None:
+    """Format the axis of a colour bar of q, over the range that the run needs."""
+    least, most = _ends_of_q(run, _norm_of_q(run))
+    many = 4 if least < 0.0 < most else 8
+    bar.set_yticks(np.unique([*style.round_numbers(least, 0.0, many), *style.round_numbers(0.0, most, many)]))
+    bar.yaxis.set_major_formatter(lambda q, _: f"{q:g}".replace("-", "−"))
+    bar.set_ylim(least, most)
 
 
 _MARK: dict[str, Any] = {"ls": "none", "ms": 4.5, "mfc": "white", "mec": INK, "mew": 0.8}
@@ -166,7 +175,7 @@ _EVENTS: dict[str, dict[str, Any]] = {
 _UNRESOLVED: dict[str, Any] = {"ls": "none", "marker": "x", "ms": 4.5, "mec": INK, "mew": 1.0}
 
 
-def _keys_of_diagram(run: Run, traced: bool) -> list[Any]:
+def keys_of_diagram(run: Run, traced: bool) -> list[Any]:
     """Return the keys of a legend for the diagram."""
     lines = ((run.kinks, 1.3, "kink"), (run.vertical_steps, 2.6, "vertical step"), (traced, 0.45, "characteristic"))
     keys = [Line2D([], [], color=INK, lw=width, label=label) for there, width, label in lines if there]
@@ -203,8 +212,10 @@ def _ends_of_q(run: Run, norm: TwoSlopeNorm) -> tuple[float, float]:
     )
 
 
-def _characteristics(run: Run) -> Array | None:
+def characteristics(run: Run) -> Array | None:
     """Return positions at the saved times, shape (times, lines), of the characteristics that are drawn; None for none.
+
+    There are none if K and q do not determine them (`traceable_law`).
 
     Choose those that end evenly spread at the last time and at the crest, and those that run into kinks from both
     sides.
@@ -228,23 +239,38 @@ def _characteristics(run: Run) -> Array | None:
 @styled
 def draw_factor(run: Run) -> Figure:
     """Draw the grain flux K along the slope over time; logarithmic if it spans a decade."""
-    x, _, x_label, _ = axes_units(run, run.units)
     figure = style.sheet(run.title, style.about(run), bool(run.kinks), 2.3)
     axes = figure.subplots()
+    flux_on(axes, run)
+    style.legend_above(figure, [kinks_key()] * bool(run.kinks))
+    style.bar_of_times(figure, run)
+    return figure
+
+
+def kinks_key() -> Line2D:
+    """Return the key of a legend for the dots of kinks."""
+    return Line2D([], [], ls="none", label="kink", **DOT)
+
+
+def curves_on(axes: Axes, run: Run, values: Array) -> None:
+    """Draw curves over x at the shown times, shape (times, cells + 1), with the kinks; the curves are labelled."""
+    x, _, x_label, _ = axes_units(run, run.units)
     shown, colour = style.shown_times(run)
+    unit, _, numbers = style.axis_of_time(run.time, run.units)
     for i in shown:
-        axes.plot(x, run.K[i], color=colour(i), lw=0.9)
-        axes.plot(*style.dots_on(run, i, x, run.K[i]), **DOT, ls="none", zorder=3)
+        axes.plot(x, values[i], color=colour(i), lw=0.9, label=numbers(unit * float(run.time[i]), 0.0))
+        axes.plot(*style.dots_on(run, i, x, values[i]), **DOT, ls="none", zorder=3)
+    style.axis_of_x(axes, x, x_label)
+
+
+def flux_on(axes: Axes, run: Run) -> None:
+    """Draw K at the shown times; logarithmic if it spans a decade."""
+    curves_on(axes, run, run.K)
     if run.K.max() > 10.0 * run.K.min():
         axes.set_yscale("log")
         style.plain_numbers(axes.yaxis)
     axes.axhline(1.0, color="0.6", lw=0.6, zorder=0)
     axes.set_ylabel(_FLUXES["coefficient" if "coefficient" in run.case else ""])
-    style.axis_of_x(axes, x, x_label)
-    marks = Line2D([], [], ls="none", label="kink", **DOT)
-    style.legend_above(figure, [marks] * bool(run.kinks))
-    style.bar_of_times(figure, run)
-    return figure
 
 
 _FLUX = "grain flux K\nrelative to the supply"
