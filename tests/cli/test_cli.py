@@ -39,10 +39,10 @@ SCENE = {
     "time": {"end": 4.0, "snapshots": 5},
 }
 BARE = {"output": {"vtk": False, "plots": False}}
-DRAWN = [f"{name}.{form}" for name in ("profile", "diagram", "factor") for form in ("png", "svg")]
+DRAWN = [f"{name}.{form}" for name in ("profile", "diagram", "factor", "norms") for form in ("png", "svg")]
 COMMANDS = (
     "run", "check", "chart", "stability", "dependence", "statements", "sweep", "fit", "plot", "compare", "animate",
-    "export", "cases", "explain", "import")  # fmt: skip
+    "export", "cases", "explain", "import", "validate", "new")  # fmt: skip
 
 
 def write_case(folder, name="scene", **changes):
@@ -143,8 +143,8 @@ def test_a_tolerance_is_met_and_the_estimate_told(folder, call):
 
 def test_nothing_but_data_where_the_case_says_so(folder, call):
     code, out, _ = call("run", "bare.toml")
-    assert contents("results/bare").keys() == {"profile.nc", "kinks.csv", "events.csv", "summary.json"}
-    assert code == 0 and "written     results/bare: profile.nc, kinks.csv, events.csv, summary.json\n" in out
+    assert contents("results/bare").keys() == {"profile.nc", "kinks.csv", "events.csv", "norms.csv", "summary.json"}
+    assert code == 0 and "written     results/bare: profile.nc, kinks.csv, events.csv, norms.csv, summary.json\n" in out
 
 
 def test_a_shipped_case_by_name_and_its_survey_units(in_tmp, call):
@@ -233,7 +233,7 @@ def test_dependence_writes_its_table_and_picture(folder, call, monkeypatch):
         "data", "zero", "coefficient", "refresh",
     ]  # fmt: skip
     rows = list(csv.DictReader(Path("results/bare/dependence.csv").read_text().splitlines()))
-    assert list(rows[0]) == ["case", "study", "member", "size", "time", "distance", "bound"]
+    assert list(rows[0]) == ["case", "study", "member", "size", "time", "distance", "bound", "constant"]
     assert {row["study"] for row in rows} == {"data", "zero", "coefficient", "refresh", "refresh kinks"}
     assert Path("results/bare/dependence.png").read_bytes().startswith(b"\x89PNG")
     honest = dependence.distance_bound
