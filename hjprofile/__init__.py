@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from hjprofile.problem.profiles import steps as steps
     from hjprofile.problem.survey import read_survey as read_survey
     from hjprofile.problem.survey import survey as survey
+    from hjprofile.solvers.method_table import methods as methods
     from hjprofile.solvers.run import Run as Run
     from hjprofile.solvers.solve import solve as solve
     from hjprofile.solvers.solve import solve_case as solve_case
@@ -79,6 +80,7 @@ _MODULES = {
     "problem.given": ("profile",),
     "problem.profiles": ("bumps", "kinks", "points", "steady", "steps"),
     "problem.survey": ("read_survey", "survey"),
+    "solvers.method_table": ("methods",),
     "solvers.run": ("Run",),
     "solvers.solve": (
         "solve", "solve_case", "solve_characteristics", "solve_conservative", "solve_hj", "solve_inverse",

@@ -1,4 +1,4 @@
-"""The commands on case files: validate, new."""
+"""The commands on case files and on methods: validate, new, methods."""
 
 from __future__ import annotations
 
@@ -48,3 +48,13 @@ def new(name: NewName, /, *, json: Json = False) -> None:
     path = new_case(name)
     say(json, f"written: {path}\nnext: hjprofile run {path}")
     answer(json, {"case": str(path)})
+
+
+@app.command
+def methods(*, json: Json = False) -> None:
+    """List the methods with their unknown, their order, their proved CFL number and the problems that they support."""
+    from hjprofile.solvers.method_table import methods as table
+
+    rows = table()
+    say(json, repr(rows))
+    answer(json, {"methods": [row._asdict() for row in rows]})

@@ -75,6 +75,7 @@ class Method:
         carries: of a method for q, the method for u whose flux it uses; "" for none.
         midpoint: True if ln K is the integral of f of the cell means.
         cfl_proved: largest Δt max(K f')/Δx with bounds proved for any data; NaN for none.
+        order: of the error on smooth data, in the cells, fronts or levels; NaN if a tolerance replaces them.
         tolerance: the smallest and the largest tolerance that it accepts, if any.
         needs_tolerance: True if it requires a tolerance.
     """
@@ -89,6 +90,7 @@ class Method:
     carries: str = ""
     midpoint: bool = False
     cfl_proved: float = np.nan
+    order: float = np.nan
     tolerance: tuple[float, float] | None = None
     needs_tolerance: bool = False
 

@@ -110,6 +110,7 @@ def _second_order() -> Method:
     return Method(
         "conservative", Form.SLOPE, ON_GRIDS | {Feature.LINEAR_GROWTH}, Setup(_for_slope(SecondOrder), HIGHER_ORDER),
         {Feature.LINEAR_GROWTH: Setup(steps, STEEP_SECOND_ORDER, StepsOnGrid)}, midpoint=True, cfl_proved=1.0,
+        order=2.0,
     )  # fmt: skip
 
 
@@ -119,7 +120,7 @@ def _first_order() -> Iterator[Method]:
         steep = flux is FLUXES["telescoping"]  # correct speed of a vertical step for any K (§16)
         guarantees = _GUARANTEES.get(flux.name, MONOTONE)
         supports = ON_GRIDS | {Feature.LINEAR_GROWTH} if steep else ON_GRIDS
-        about = {"flux": flux, "midpoint": True, "cfl_proved": 2 / 3 if flux.viscous else 1.0}
+        about = {"flux": flux, "midpoint": True, "cfl_proved": 2 / 3 if flux.viscous else 1.0, "order": 1.0}
         for name, form, scheme in (
             (flux.name, Form.HEIGHT, _for_height(HamiltonJacobi, flux)),
             (f"conservative-{flux.name}", Form.SLOPE, _for_slope(FirstOrder, flux)),
@@ -139,9 +140,10 @@ def _high_order() -> Iterator[Method]:
     for name, order in ORDERS.items():
         guarantees = UNLIMITED if np.isnan(order.cfl_proved) else HIGHER_ORDER
         high = Setup(_for_height(HighOrderHamiltonJacobi, name), guarantees)
-        yield Method(name, Form.HEIGHT, ON_GRIDS, high, cfl_proved=order.cfl_proved)
+        row = Method(name, Form.HEIGHT, ON_GRIDS, high, cfl_proved=order.cfl_proved, order=order.smooth)
+        yield row
         high = Setup(_for_slope(HighOrderConservation, name), guarantees)
-        yield Method(f"conservative-{name}", Form.SLOPE, ON_GRIDS, high, carries=name, cfl_proved=order.cfl_proved)
+        yield replace(row, name=f"conservative-{name}", form=Form.SLOPE, setup=high, carries=name)
 
 
 on_grid = also_on_the_whole_line(solve_on_grid)
@@ -182,8 +184,8 @@ def _auto(problem: Problem, grid: Grid, tolerance: float | None, progress: Progr
 
 
 _OFF_GRID = (
-    Method("fronts", Form.OFF_GRID, frozenset({Feature.WHOLE_LINE, Feature.LINEAR_GROWTH}), solve=_fronts),
-    Method("inverse", Form.OFF_GRID, frozenset({Feature.WHOLE_LINE, Feature.LINEAR_GROWTH}), solve=_inverse),
+    Method("fronts", Form.OFF_GRID, frozenset({Feature.WHOLE_LINE, Feature.LINEAR_GROWTH}), solve=_fronts, order=2.0),
+    Method("inverse", Form.OFF_GRID, frozenset({Feature.WHOLE_LINE, Feature.LINEAR_GROWTH}), solve=_inverse, order=1.0),
     Method(
         "characteristics", Form.OFF_GRID, frozenset({Feature.WHOLE_LINE}), solve=_characteristics,
         tolerance=(FINEST, COARSEST),

@@ -42,7 +42,7 @@ BARE = {"output": {"vtk": False, "plots": False}}
 DRAWN = [f"{name}.{form}" for name in ("profile", "diagram", "factor", "norms") for form in ("png", "svg")]
 COMMANDS = (
     "run", "check", "chart", "stability", "dependence", "statements", "sweep", "fit", "plot", "compare", "animate",
-    "export", "cases", "explain", "import", "validate", "new")  # fmt: skip
+    "export", "cases", "explain", "import", "validate", "new", "methods")  # fmt: skip
 
 
 def write_case(folder, name="scene", **changes):

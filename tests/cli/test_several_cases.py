@@ -15,6 +15,8 @@ from hjprofile.cli import common
 from hjprofile.cli.common import Progress
 from hjprofile.errors import InputError
 from hjprofile.problem.new_case import TEMPLATE
+from hjprofile.solvers.method import Feature, requirements
+from hjprofile.solvers.methods import METHODS
 
 SCENE = {
     "title": "Scene",
@@ -244,6 +246,23 @@ def test_a_survey_in_the_place_of_a_case(in_tmp, call, name):
 def test_a_case_with_a_fault_of_toml_is_no_survey(in_tmp, call):
     Path("case.toml").write_text("[profile]\npositions = [-7.0 -5.0]\namplitudes = [\n 0.4 1.2 3.0\n]\n")
     assert "not valid TOML" in call("run", "case.toml")[2]
+
+
+def test_methods_are_listed(call):
+    """Against the messages of methods that refuse a problem, and against orders measured in other tests."""
+    code, out, err = call("methods")
+    head, *lines = out.splitlines()
+    assert (code, err) == (0, "") and head.split() == ["method", "form", "order", "proved", "CFL", "supports"]
+    assert [line.split()[0] for line in lines] == list(METHODS)
+    rows = {row["name"]: row for row in json.loads(call("methods", "--json")[1])["methods"]}
+    assert [(rows[n]["form"], rows[n]["order"]) for n in ("godunov", "conservative", "weno5", "conservative-eno2")] == [
+        ("height", 1.0), ("slope", 2.0), ("height", 5.0), ("slope", 2.0)
+    ]  # fmt: skip
+    layer = hj.load_case("thin_layer").problem
+    for name, row in rows.items():
+        found = "layer" in row["supports"]
+        assert found == (Feature.LAYER in METHODS[name].supports) == (requirements(layer) <= METHODS[name].supports)
+    assert [name for name, row in rows.items() if row["needs_tolerance"]] == ["auto"]
 
 
 class Notebook(Console):
