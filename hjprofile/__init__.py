@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from hjprofile.problem.erosion import rational as rational
     from hjprofile.problem.given import profile as profile
     from hjprofile.problem.grid import Grid as Grid
+    from hjprofile.problem.new_case import new_case as new_case
     from hjprofile.problem.profiles import bumps as bumps
     from hjprofile.problem.profiles import kinks as kinks
     from hjprofile.problem.profiles import points as points
@@ -87,6 +88,7 @@ _MODULES = {
     "problem": ("Problem",),
     "problem.case": ("Case", "load_case"),
     "problem.case_files": ("shipped_cases",),
+    "problem.new_case": ("new_case",),
     "problem.coefficient": ("Coefficient", "coefficient", "stored_coefficient"),
     "problem.erosion": ("ErosionLaw", "erosion_law", "expression", "log", "power", "rational"),
     "problem.grid": ("Grid",),

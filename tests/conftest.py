@@ -4,8 +4,15 @@ import numpy as np
 import pytest
 
 from hjprofile import cli
+from hjprofile.cli import common
 
 np.seterr(all="raise", under="ignore")  # a silent overflow or NaN in the library fails the test that meets it
+
+
+@pytest.fixture(autouse=True)
+def silent_compilation(monkeypatch):
+    """Without this the first test of a method after an installation finds a line on stderr."""
+    monkeypatch.setattr(common, "LONG_COMPILATION", float("inf"))
 
 
 @pytest.fixture

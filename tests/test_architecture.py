@@ -22,7 +22,7 @@ ROOMS = (
 )  # fmt: skip
 KERNELS = ("solvers.kernels", *(f"solvers.{wing}.kernels" for wing in WINGS))
 ONLY_IN = {  # package -> the modules and rooms that may import it
-    "numba": KERNELS,
+    "numba": (*KERNELS, "solvers.compilation"),
     "pyvista": ("output.vtk",),
     "vtkmodules": ("output.vtk",),
     "matplotlib": ("output.plots",),

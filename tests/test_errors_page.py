@@ -16,13 +16,13 @@ from hjprofile.problem.case import parse_case
 from hjprofile.solvers.solve import check_case
 
 HOME = Path(hjprofile.__file__).parent
-SAYING = {"InputError", "RunError", "_leave", "error", "refuse"}  # what is called with a sentence
-ABOUT = {"InputError", "RunError", "error", "_leave"}  # ... and with a heading after it
+SAYING = {"InputError", "RunError", "complain", "error", "refuse"}  # what is called with a sentence
+ABOUT = {"InputError", "RunError", "error", "complain"}  # ... and with a heading after it
 # functions whose strings are parts of such sentences
 PARTS = {"did_you_mean", "_what_a_header_is"}
 SILENT = {  # without a sentence: exceptions caught inside, or of no concern to a user; and what hands one on
     "missing", "of", "Breakdown", "_StepTooSmall", "Stopped", "Halt", "Lost", "mapped",
-    "NotImplementedError", "TypeError", "ValueError", "AttributeError", "OSError",
+    "NotImplementedError", "TypeError", "ValueError", "AttributeError", "OSError", "stopped",
 }  # fmt: skip
 ANYTHING = "\N{HORIZONTAL ELLIPSIS}"  # in a sentence: what varies
 
@@ -115,8 +115,7 @@ class Sentences(ast.NodeVisitor):
             texts = [text for value in given for text in self.variants(value)]
             self.found += [(re.sub(r"\{[^}]*\}", ANYTHING, text), True) for text in texts]
         if name in ABOUT:
-            given = node.args[2:] if name == "_leave" else node.args[1:]
-            given += [k.value for k in node.keywords if k.arg == "about"]
+            given = node.args[1:] + [k.value for k in node.keywords if k.arg == "about"]
             self.headings |= {text for value in given for text in self.variants(value)}
         if name == "get" and isinstance(node.func.value, ast.Name) and node.func.value.id.endswith("ABOUT"):
             self.headings |= set(self.variants(node.args[1]))
@@ -193,7 +192,7 @@ def test_whatever_is_raised_is_looked_for():
     """A new exception, or a new function that makes one, has to be named above."""
     raised = set().union(*(reading(source).raised for source in MODULES.values()))
     assert raised - SAYING - SILENT == set()
-    assert SAYING - {"refuse", "_leave"} <= raised | {"error"}
+    assert SAYING - {"refuse", "complain"} <= raised | {"error"}
 
 
 NEW = """

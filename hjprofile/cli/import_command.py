@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from hjprofile.cli.common import Json, answer, app, expanded, say
+from hjprofile.cli.common import OUT, Json, answer, app, expanded, say
 from hjprofile.errors import InputError
 
 Source = Annotated[Path, Parameter(converter=expanded, help="A text file with a point per line, in any notation.")]
@@ -22,7 +22,9 @@ Uphill = Annotated[Literal["left", "right"] | None, Parameter(help="Side of the 
 Nodata = Annotated[list[float] | None, Parameter(help="Number that stands for no height. May be repeated.")]
 From = Annotated[float | None, Parameter(name="--from", help="Smallest x that is used.")]
 To = Annotated[float | None, Parameter(help="Largest x that is used.")]
-NewCase = Annotated[Path | None, Parameter(converter=expanded, help="The new case file; FILE with .toml by default.")]
+NewCase = Annotated[
+    Path | None, Parameter(OUT, converter=expanded, help="The new case file; FILE with .toml by default.")
+]
 
 
 @app.command(name="import")

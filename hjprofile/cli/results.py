@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from hjprofile.cli.common import Into, Json, Progress, Somewhere, answer, app, expanded, listing, say
+from hjprofile.cli.common import OUT, Into, Json, Progress, Somewhere, answer, app, expanded, listing, say
 from hjprofile.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 
 Film = Annotated[
     Path | None,
-    Parameter(converter=expanded, help="File that ends in .gif or .mp4; profile.gif in the result folder by default."),
+    Parameter(
+        OUT, converter=expanded, help="File that ends in .gif or .mp4; profile.gif in the result folder by default."
+    ),
 ]
 Fps = Annotated[float, Parameter(help="Saved times per second; 8 by default.")]
 
@@ -91,9 +93,9 @@ def animate(result: Somewhere, /, *, out: Film = None, fps: Fps = 8.0, json: Jso
     from hjprofile.output.store import load_run
 
     file = out or result / "profile.gif"
-    with Progress("animating") as progress:
+    with Progress("animating", solves=False) as progress:
         data = animation(load_run(result), file.suffix.lower(), fps, progress)
-    _write(result, file.parent, {file.name: data}, json)
+    _write(result, file.parent, {file.name: data}, json, mixed=out is not None)
 
 
 @app.command
@@ -125,11 +127,15 @@ def _write(
     json: bool,
     found: Mapping[str, Any] | None = None,
     account: str = "",
+    mixed: bool = False,
 ) -> None:
-    """Write the files made from a result. Then print the account, if there is one, and the files."""
+    """Write the files made from a result. Then print the account, if there is one, and the files.
+
+    `mixed` is True if the user names the file, in a folder of any content.
+    """
     from hjprofile.output.folder import add_files
 
-    paths = add_files(result, folder, files)
+    paths = add_files(result, folder, files, mixed)
     inside = {path.parent for path in paths}
     shown = inside.pop() if len(inside) == 1 else folder
     say(json, f"{account}{shown}: {listing(shown, paths)}")

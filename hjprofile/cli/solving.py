@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from functools import partial
 
 from hjprofile.cli.common import (
     After,
@@ -12,6 +12,7 @@ from hjprofile.cli.common import (
     Kept,
     Out,
     Progress,
+    Quiet,
     Sigma,
     Vary,
     Workers,
@@ -24,13 +25,18 @@ from hjprofile.cli.common import (
 )
 from hjprofile.errors import RunError
 
-if TYPE_CHECKING:
-    pass
-
 
 @app.command
 def sweep(
-    case: CasePath, /, *, vary: Vary, workers: Workers = None, resume: Kept = False, out: Out = None, json: Json = False
+    case: CasePath,
+    /,
+    *,
+    vary: Vary,
+    workers: Workers = None,
+    resume: Kept = False,
+    out: Out = None,
+    quiet: Quiet = False,
+    json: Json = False,
 ) -> None:
     """Solve a case for every combination of values of some of its keys, and write one table.
 
@@ -44,10 +50,10 @@ def sweep(
 
     choices = read_choices(vary)
     folder = folder_for((case,), out, keep=MEMBERS if resume else "").path
-    with processes(workers) as executor, Progress("sweeping") as progress:
+    with processes(workers) as executor, Progress("sweeping", not quiet, solves=False) as progress:
         result = run_sweep(case, choices, executor, folder, resume, progress)
-    say(json, account(result))
-    say(json, f"written to {folder}: sweep.csv, sweep.nc")
+    say(quiet or json, account(result))
+    say(quiet or json, f"written to {folder}: sweep.csv, sweep.nc")
     answer(json, report(result) | {"files": [folder / "sweep.csv", folder / "sweep.nc"]})
     if not any(outcome.done for outcome in result.outcomes):
         raise RunError(f"{case}: no member was solved; the reasons are in {folder / 'sweep.csv'}")
@@ -55,7 +61,15 @@ def sweep(
 
 @app.command
 def fit(
-    case: CasePath, after: After, /, *, vary: Fitted, sigma: Sigma = None, out: Out = None, json: Json = False
+    case: CasePath,
+    after: After,
+    /,
+    *,
+    vary: Fitted,
+    sigma: Sigma = None,
+    out: Out = None,
+    quiet: Quiet = False,
+    json: Json = False,
 ) -> None:
     """Fit parameters of a case to a survey made afterwards, with 95 % intervals.
 
@@ -64,20 +78,18 @@ def fit(
     """
     from hjprofile.output.fit_files import fit_account, fit_files, fit_report
     from hjprofile.output.plots.study_pictures import fit_picture
-    from hjprofile.output.store import write_picture
+    from hjprofile.output.store import write_study
     from hjprofile.problem.survey import read_survey
     from hjprofile.studies.calibration import fit as fit_case
 
     folder, (loaded,) = load_cases((case,), out)
     x, height, _ = read_survey(after)
     found = fit_case(loaded.source, x, height, vary, sigma)
-    files = folder.open().write(fit_files(found))
-    picture = write_picture(folder, "fit.png", fit_picture, found)
-    files += picture.files
-    say(json, fit_account(found))
-    lines = [f"  WARNING   {warning}" for warning in picture.warnings]
-    say(json, "\n".join([*lines, f"  written     {folder}: {listing(folder.path, files)}"]))
-    answer(json, fit_report(found) | {"files": files})
+    written = write_study(folder.open(), fit_files(found), {"fit.png": partial(fit_picture, found)})
+    say(quiet or json, fit_account(found))
+    lines = [f"  WARNING   {warning}" for warning in written.warnings]
+    say(quiet or json, "\n".join([*lines, f"  written     {folder}: {listing(folder.path, written.files)}"]))
+    answer(json, fit_report(found) | {"files": written.files})
 
 
 @app.command

@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
-from hjprofile.cli.common import CasePath, Json, Out, Progress, answer, app, listing, load_cases, say
-from hjprofile.errors import InputError, RunError
+from hjprofile.cli.common import (
+    CasePath,
+    Json,
+    Out,
+    Progress,
+    Quiet,
+    answer,
+    app,
+    listing,
+    load_cases,
+    require_cases,
+    say,
+)
+from hjprofile.errors import RunError
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from hjprofile.output.folder import ResultFolder
     from hjprofile.output.store import Written
     from hjprofile.studies.chart import Point, Reference
 
 
 @app.command
-def check(*case: CasePath, out: Out = None, json: Json = False) -> None:
+def check(*case: CasePath, out: Out = None, quiet: Quiet = False, json: Json = False) -> None:
     """Test the Hamilton-Jacobi equation against the conservation law on one or several cases.
 
     Writes check.json. A case passes, fails, or is not resolved on these grids. If a comparison fails, the exit code is
@@ -26,18 +37,17 @@ def check(*case: CasePath, out: Out = None, json: Json = False) -> None:
     from hjprofile.studies.consistency import check as check_case
     from hjprofile.studies.verdict import verdict_of_all
 
-    if not case:
-        raise InputError("check needs at least one CASE: a TOML file or the name of a shipped case", "the-command-line")
+    require_cases("check", case)
     folder, loaded = load_cases(case, out)
     folder.open()
     verdicts = []
     for one in loaded:
-        with Progress(f"checking {one.name}") as progress:
+        with Progress(f"checking {one.name}", not quiet) as progress:
             verdicts.append(check_case(one, progress))
     failed = [v.case for v in verdicts if not v.passes]
     report = {"passes": not failed, "verdict": verdict_of_all(verdicts), "cases": [v.report() for v in verdicts]}
     files = folder.write({"check.json": to_json(report)})
-    say(json, "\n".join([*map(str, verdicts), f"written to {files[0]}"]))
+    say(quiet or json, "\n".join([*map(str, verdicts), f"written to {files[0]}"]))
     answer(json, report | {"files": files})
     if failed:
         raise RunError(
@@ -46,23 +56,22 @@ def check(*case: CasePath, out: Out = None, json: Json = False) -> None:
 
 
 @app.command
-def chart(*case: CasePath, out: Out = None, json: Json = False) -> None:
+def chart(*case: CasePath, out: Out = None, quiet: Quiet = False, json: Json = False) -> None:
     """Measure the error of every method against its run time in seconds, on one or several cases.
 
     Writes chart.csv and chart.png.
     """
     from hjprofile.output.plots.study_pictures import chart_picture
-    from hjprofile.output.store import to_csv, write_picture
+    from hjprofile.output.store import to_csv, write_study
     from hjprofile.studies.chart import Point, pareto
     from hjprofile.studies.chart import chart as chart_case
 
-    if not case:
-        raise InputError("chart needs at least one CASE: a TOML file or the name of a shipped case", "the-command-line")
+    require_cases("chart", case)
     folder, loaded = load_cases(case, out)
     folder.open()
     charts, reports, lines = {}, [], []
     for one in loaded:
-        with Progress(f"charting {one.name}") as progress:
+        with Progress(f"charting {one.name}", not quiet) as progress:
             charts[one.name] = points, reference = chart_case(one.name, one.problem, one.grid, one.cfl, progress)
         known = f" (errors of u {reference.error:.1g}, of q {reference.error_q:.1g})" if reference.error else ""
         best = pareto(points)
@@ -71,74 +80,74 @@ def chart(*case: CasePath, out: Out = None, json: Json = False) -> None:
         known_to = {"reference_error": reference.error, "reference_error_q": reference.error_q}
         found = {"case": one.name, "reference": reference.name} | known_to
         reports.append(found | {"points": [p._asdict() for p in points], "pareto": [p._asdict() for p in best]})
-    files = folder.write({"chart.csv": to_csv(Point._fields, [p for points, _ in charts.values() for p in points])})
-    picture = write_picture(folder, "chart.png", chart_picture, charts)
-    say(json, "\n".join([*lines, _written(folder, files, picture)]))
-    answer(json, {"cases": reports, "files": files + picture.files})
+    table = to_csv(Point._fields, [p for points, _ in charts.values() for p in points])
+    written = write_study(folder, {"chart.csv": table}, {"chart.png": partial(chart_picture, charts)})
+    say(quiet or json, "\n".join([*lines, _written(folder, written)]))
+    answer(json, {"cases": reports, "files": written.files})
 
 
 @app.command
-def stability(case: CasePath, /, *, out: Out = None, json: Json = False) -> None:
+def stability(case: CasePath, /, *, out: Out = None, quiet: Quiet = False, json: Json = False) -> None:
     """Scan the limits of stability of each method on a grid, on one case.
 
     Writes stability.csv and stability.png.
     """
     from hjprofile.output.plots.study_pictures import stability_picture
-    from hjprofile.output.store import to_csv, write_picture
+    from hjprofile.output.store import to_csv, write_study
     from hjprofile.studies.stability import Trial
     from hjprofile.studies.stability import stability as scan
 
     folder, (loaded,) = load_cases((case,), out)
     folder.open()
-    with Progress(f"scanning {loaded.name}") as progress:
+    with Progress(f"scanning {loaded.name}", not quiet) as progress:
         found = scan(loaded, progress)
     limits = {m: {"holds_at": low, "fails_at": high, "theory": p} for m, (low, high, p) in found.limits.items()}
-    files = folder.write({"stability.csv": to_csv(Trial._fields[:6], [t[:6] for t in found.rows])})
-    picture = write_picture(folder, "stability.png", stability_picture, found.rows)
-    say(json, f"{found}\n{_written(folder, files, picture)}")
+    table = to_csv(Trial._fields[:6], [t[:6] for t in found.rows])
+    written = write_study(folder, {"stability.csv": table}, {"stability.png": partial(stability_picture, found.rows)})
+    say(quiet or json, f"{found}\n{_written(folder, written)}")
     answer(
         json,
-        {"case": loaded.name, "limits": limits, "trials": [t._asdict() for t in found.rows]}
-        | {"files": files + picture.files},
+        {"case": loaded.name, "limits": limits, "trials": [t._asdict() for t in found.rows]} | {"files": written.files},
     )
 
 
 @app.command
-def dependence(case: CasePath, /, *, out: Out = None, json: Json = False) -> None:
+def dependence(case: CasePath, /, *, out: Out = None, quiet: Quiet = False, json: Json = False) -> None:
     """Measure the distance between solutions with close initial data or close coefficients, on one case.
 
     Writes dependence.csv and dependence.png. The exit code is 1 if a distance exceeds its bound.
     """
     from hjprofile.output.plots.study_pictures import dependence_picture
-    from hjprofile.output.store import to_csv, write_picture
+    from hjprofile.output.store import to_csv, write_study
     from hjprofile.studies.dependence import Distance
     from hjprofile.studies.dependence import dependence as study
 
     folder, (loaded,) = load_cases((case,), out)
     folder.open()
-    with Progress(f"measuring {loaded.name}") as progress:
+    with Progress(f"measuring {loaded.name}", not quiet) as progress:
         found = study(loaded.problem, loaded.grid, progress, loaded.name)
-    files = folder.write({"dependence.csv": to_csv(Distance._fields, found.rows)})
-    picture = write_picture(folder, "dependence.png", dependence_picture, found.rows)
-    say(json, "\n  ".join([f"{loaded.name}:", *found.found]))
-    say(json, _written(folder, files, picture))
+    table = to_csv(Distance._fields, found.rows)
+    pictures = {"dependence.png": partial(dependence_picture, found.rows)}
+    written = write_study(folder, {"dependence.csv": table}, pictures)
+    say(quiet or json, "\n  ".join([f"{loaded.name}:", *found.found]))
+    say(quiet or json, _written(folder, written))
     answer(
         json,
-        {"case": loaded.name, "passes": found.holds, "found": found.found, "files": files + picture.files},
+        {"case": loaded.name, "passes": found.holds, "found": found.found, "files": written.files},
     )
     if not found.holds:
         raise RunError(f"{loaded.source}: {found.violated}")
 
 
 @app.command
-def statements(case: CasePath, /, *, out: Out = None, json: Json = False) -> None:
+def statements(case: CasePath, /, *, out: Out = None, quiet: Quiet = False, json: Json = False) -> None:
     """Evaluate the statements of the source paper, with computed constants, on one case.
 
     Writes statements.csv, characteristics.csv, statements.png and invariant.png. The exit code is 1 if a statement is
     violated.
     """
     from hjprofile.output.plots.statement_pictures import invariant_picture, statements_picture
-    from hjprofile.output.store import Written, to_csv, write_picture
+    from hjprofile.output.store import to_csv, write_study
     from hjprofile.output.survey_columns import with_survey_columns
     from hjprofile.problem.grid import Grid
     from hjprofile.studies.characteristic_statements import COLUMNS
@@ -148,35 +157,36 @@ def statements(case: CasePath, /, *, out: Out = None, json: Json = False) -> Non
     folder, (loaded,) = load_cases((case,), out)
     folder.open()
     grid = Grid(loaded.grid.left, min(loaded.grid.cells, CELLS), loaded.grid.right)
-    with Progress(f"evaluating {loaded.name}") as progress:
+    with Progress(f"evaluating {loaded.name}", not quiet) as progress:
         found = study(loaded.problem, grid, progress)
     units = loaded.problem.profile.units
     tables = {
         "statements.csv": to_csv(*with_survey_columns(StatementRow._fields, found.rows, units)),
         "characteristics.csv": to_csv(*with_survey_columns(COLUMNS, found.characteristics.rows(), units)),
     }
-    files = folder.write(tables)
-    pictures = [write_picture(folder, "statements.png", statements_picture, loaded.name, found)]
-    if found["invariant"].applies:
-        pictures.append(write_picture(folder, "invariant.png", invariant_picture, loaded.name, found.characteristics))
-    picture = Written([f for p in pictures for f in p.files], [w for p in pictures for w in p.warnings])
+    invariant = partial(invariant_picture, loaded.name, found.characteristics)
+    pictures = {
+        "statements.png": partial(statements_picture, loaded.name, found),
+        "invariant.png": invariant if found["invariant"].applies else None,
+    }
+    written = write_study(folder, tables, pictures)
     failed = [result.equation for result in found.results if not result.holds]
     head = f"{loaded.name}, {grid.cells} cells: value / bound where the value is largest relative to its bound"
-    say(json, "\n  ".join([head, *map(str, found.results)]))
-    say(json, _written(folder, files, picture))
+    say(quiet or json, "\n  ".join([head, *map(str, found.results)]))
+    say(quiet or json, _written(folder, written))
     answer(
         json,
         {"case": loaded.name, "passes": not failed, "statements": [v._asdict() for v in found.results]}
-        | {"files": files + picture.files},
+        | {"files": written.files},
     )
     if failed:
         raise RunError(f"{loaded.source}: violated statements: {', '.join(failed)}")
 
 
-def _written(folder: ResultFolder, files: list[Path], picture: Written) -> str:
+def _written(folder: ResultFolder, written: Written) -> str:
     """Return the last line of an account, after a warning if the picture could not be drawn."""
-    lines = [f"WARNING: {warning}" for warning in picture.warnings]
-    return "\n".join([*lines, f"written to {folder}: {listing(folder.path, files + picture.files)}"])
+    lines = [f"WARNING: {warning}" for warning in written.warnings]
+    return "\n".join([*lines, f"written to {folder}: {listing(folder.path, written.files)}"])
 
 
 def _point(p: Point, reference: Reference) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import Any
 
 import hjprofile
@@ -43,7 +44,7 @@ def _row(p: Parameter) -> dict[str, Any]:
 
 
 def fit_account(found: Calibration) -> str:
-    """Return the fitted values, one per line, and the residuals."""
+    """Return the fitted values, one per line, their correlations, and the residuals."""
     rows = [*found.parameters, *([found.volume] if found.volume else [])]
     width = max(len(p.name) for p in rows)
     beyond = f" ({found.left_out} beyond the slope omitted)" if found.left_out else ""
@@ -56,6 +57,10 @@ def fit_account(found: Calibration) -> str:
     for p in rows:
         known = f"{p.low:.5g} to {p.high:.5g} (95 %)" if p.low == p.low else "no interval, see the warnings"
         lines.append(f"  {p.name:{width}}  {p.value:<10.6g}  {known}, started at {p.start:g}")
+    names = [p.name for p in found.parameters]
+    if pairs := list(combinations(range(len(names)), 2)):
+        text = "; ".join(f"{names[i]} and {names[j]} {found.correlation[i, j]:.3f}" for i, j in pairs)
+        lines.append(f"  correlations  {text}")
     source = "given" if found.sigma_given else "estimated from them"
     fits = f"  residuals {found.rms:.3g} r.m.s., sigma {found.sigma:.3g} {source}"
     if found.chi2 is not None:

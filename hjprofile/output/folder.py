@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 from hjprofile.errors import InputError
 from hjprofile.files import write_whole
+from hjprofile.problem.case import with_values
 from hjprofile.problem.case_files import read_case
 from hjprofile.problem.paths import located
 
@@ -44,14 +45,16 @@ class Owner(NamedTuple):
         return " and ".join(self.cases) or "a run that was written from Python"
 
 
-def owner_of(cases: Sequence[Path]) -> Owner:
+def owner_of(cases: Sequence[Path], values: Mapping[str, Any] | None = None) -> Owner:
     """Return the owner of results computed from these case files. Raise InputError if one cannot be read.
 
-    The sections [output] and [expect] change no result and are not hashed.
+    `values` replace those of the files, by dotted key. The sections [output] and [expect] change no result and are not
+    hashed.
     """
     digest = hashlib.sha256()
     for path in cases:
-        content = {name: table for name, table in read_case(path).items() if name not in ("output", "expect")}
+        whole = with_values(read_case(path), values or {})
+        content = {name: table for name, table in whole.items() if name not in ("output", "expect")}
         digest.update(_stable(content))
         for table in content.values():
             named = table if isinstance(table, Mapping) else {}
@@ -178,15 +181,17 @@ class ResultFolder:
         write_whole(self.path / RECORD, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
 
 
-def add_files(result: Path, folder: Path, files: Mapping[str, bytes | str]) -> list[Path]:
+def add_files(result: Path, folder: Path, files: Mapping[str, bytes | str], mixed: bool = False) -> list[Path]:
     """Write files made from a stored run into its own folder `result`, or into one that belongs to no other case.
 
-    Raise InputError if `folder` belongs to another case.
+    The folder then belongs to the case of the run, and files that were made there from an older run are removed. It
+    belongs to nobody if it is `mixed`: the user names each file. Raise InputError if it belongs to another case.
     """
     mine, there = _recorded(result), _recorded(folder)
-    if there is not None:
-        owner = mine.owner if mine else Owner((str(result),), "")
-        return ResultFolder(folder, owner, replace=False).open().write(files)
-    for name, data in files.items():
-        write_whole(folder / name, data)
-    return [folder / name for name in files]
+    unknown = mine is None and folder.resolve() == result.resolve()
+    if there is None and (mixed or unknown):
+        for name, data in files.items():
+            write_whole(folder / name, data)
+        return [folder / name for name in files]
+    owner = mine.owner if mine else Owner((str(result.resolve()),), hashlib.sha256(_bytes_of(result)).hexdigest())
+    return ResultFolder(folder, owner, replace=False).open().write(files)

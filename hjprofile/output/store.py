@@ -7,7 +7,7 @@ import io
 import json
 import tomllib
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import suppress
 from dataclasses import replace
@@ -155,11 +155,24 @@ def _vtk(run: Run) -> dict[str, bytes | str]:
     return {f"{VTK_FOLDER}/{name}": data for name, data in vtk_files(run).items()}
 
 
-def write_picture(place: ResultFolder, name: str, draw: Callable[..., bytes | str], *arguments: Any) -> Written:
-    """Write a picture of a study whose data are on disk."""
+def write_study(
+    place: ResultFolder, tables: Mapping[str, bytes | str], pictures: Mapping[str, Callable[[], bytes | str] | None]
+) -> Written:
+    """Write the tables of a study, then its pictures: name -> function that draws it, or None if it has no picture now.
+
+    Pictures of an earlier study are removed first, so that none remains with the tables of a later one.
+    """
+    place.remove(pictures)
+    files = place.write(tables)
     warnings: list[str] = []
-    files = attempt(warnings, f"{name} could not be drawn", lambda: {name: draw(*arguments)})
-    return Written(place.write(files), warnings)
+    for name, draw in pictures.items():
+        if draw:
+            files += place.write(attempt(warnings, f"{name} could not be drawn", _named, name, draw))
+    return Written(files, warnings)
+
+
+def _named(name: str, draw: Callable[[], bytes | str]) -> dict[str, bytes | str]:
+    return {name: draw()}
 
 
 def attempt(

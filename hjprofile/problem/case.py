@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from hjprofile.errors import InputError, nearest
+from hjprofile.errors import InputError, by_last_part, did_you_mean, nearest
 from hjprofile.problem import LONGEST_TITLE, Problem, coefficient, erosion, profiles
 from hjprofile.problem.case_files import find_case, read_case
 from hjprofile.problem.coefficient import Coefficient
@@ -22,7 +22,7 @@ from hjprofile.problem.kinds import COUNT_OR_TIMES, NUMBER, POSITIVE, SWITCH, TA
 from hjprofile.problem.profiles import TAIL, Profile
 from hjprofile.problem.ranges import RANGES, number, plain, shown, whole
 from hjprofile.problem.schema import SECTIONS, Choice, Choices, Faults, Key, Table, to_table
-from hjprofile.problem.supply import from_layer, layer_table
+from hjprofile.problem.supply import LAYER, from_layer, layer_table
 from hjprofile.problem.survey import survey
 
 DEFAULT_METHOD = "local-lax-friedrichs"
@@ -149,7 +149,28 @@ def _overriding(overrides: Mapping[str, Any] | None) -> dict[str, Any]:
     for key in overrides or {}:
         if not isinstance(key, str) or key.count(".") > 1 or not all(key.split(".")):
             raise InputError(f"{shown(key)} is not a key of a case; it is written section.key, or title", "a-case-file")
+        _check_section(key)
     return {key: plain(value) for key, value in (overrides or {}).items()}
+
+
+def _check_section(key: str) -> None:
+    """Raise InputError for a key without its section, or with that of another key."""
+    known = {f"{section}.{key.name}" for section, keys in _keys().items() for key in keys}
+    section, dot, name = key.rpartition(".")
+    misplaced = section in SECTIONS and any(name == each.rpartition(".")[2] for each in known)
+    if key not in known and (misplaced or (not dot and key not in (each.name for each in TOP))):
+        hint = did_you_mean(name, by_last_part(known))
+        raise InputError(f"{shown(key)} is not a key of a case{hint}", "a-misspelt-key")
+
+
+def _keys() -> dict[str, list[Key]]:
+    """Return section -> its keys, with those of every law and kind."""
+    choices = {"erosion": LAWS, "profile": PROFILES, "coefficient": COEFFICIENTS, "domain": LINES}
+    keys = {
+        section: [each.chooser, *(k for c in each.choices.values() for k in c.keys)]
+        for section, each in choices.items()
+    }
+    return keys | {"layer": [*LAYER], "time": [*TIME], "solver": [*SOLVER], "output": [*OUTPUT]}
 
 
 @np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks reject

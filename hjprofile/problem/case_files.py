@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
+import shlex
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,10 @@ from typing import Any
 from hjprofile.errors import InputError, did_you_mean
 from hjprofile.problem.paths import located
 from hjprofile.problem.ranges import as_path
+from hjprofile.problem.survey_file import holds_points
+
+ABOUT_VALUES = "a-value-by-an-option"  # heading of the page on errors
+WORD = re.compile(r"(?:[~.]*/)*[A-Za-z_][\w./-]*")  # a text without quotes on the command line
 
 
 def shipped_cases() -> dict[str, Path]:
@@ -63,14 +68,54 @@ def read_case(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error}", "a-file-that-cannot-be-read") from None
     except UnicodeDecodeError as error:
+        _refuse_a_survey(path)
         message = f"{path}: cannot be read: it is not text in UTF-8 ({error}); save it as UTF-8"
         raise InputError(message, "a-file-that-cannot-be-read") from None
     except (ValueError, RecursionError) as error:  # bad syntax, integers of thousands of digits, deep nesting
+        _refuse_a_survey(path)
         found = re.search(r"\(at line (\d+), column \d+\)$", str(error))
         line = text.split("\n")[int(found[1]) - 1].strip()[:60] if found else ""
         shown = f", which reads {line!r}" if line else ""
         hint = "; write paths with / or in single quotes" if "\\" in line else ""
         raise InputError(f"{path}: not valid TOML: {error}{shown}{hint}", "a-file-that-is-no-toml") from None
+
+
+def _refuse_a_survey(path: Path) -> None:
+    """Raise InputError if a file that is no TOML holds measured points."""
+    if holds_points(path):
+        raise InputError(
+            f"{path} is a survey (a table of points) and not a case file; "
+            f"`hjprofile import {shlex.quote(str(path))}` makes a case from it",
+            "a-survey-in-the-place-of-a-case",
+        )
+
+
+def read_values(arguments: Sequence[str], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return dotted key -> value, read from texts such as `domain.cells=400`, and the values that are `given`.
+
+    A value is written as in TOML; a plain word or a path is a string. Raise InputError for other texts, and for a key
+    with two values.
+    """
+    values = dict(given)
+    for argument in arguments:
+        key, equals, text = argument.partition("=")
+        key = key.strip()
+        if not equals or not key:
+            raise InputError(f"--set {argument} must be written --set section.key=value", ABOUT_VALUES)
+        if key in values:
+            raise InputError(f"{key} is given twice; give one value", ABOUT_VALUES)
+        for form in (text, f'"{text.strip()}"' if WORD.fullmatch(text.strip()) else ""):
+            with suppress(ValueError, RecursionError):
+                content = tomllib.loads(f"value = {form}")
+                if len(content) == 1:
+                    values[key] = content["value"]
+                    break
+        else:
+            raise InputError(
+                f"--set {argument} must have a value as TOML writes it, for example --set 'title=\"My slope\"'",
+                ABOUT_VALUES,
+            )
+    return values
 
 
 def read_choices(arguments: Sequence[str]) -> dict[str, list[Any]]:

@@ -118,6 +118,15 @@ def read_points(file: Path, columns: Sequence[str | int] | None = None, nodata: 
     return _in_order(f"file = {str(file)!r}", file.name, values, numbers, gaps, nodata, unit, notes)
 
 
+def holds_points(file: Path) -> bool:
+    """Return True if most lines of a file have two numbers or more, as those of a table of points."""
+    try:
+        rows, separator = _split(_decoded(file)[0])
+    except (InputError, csv.Error):  # no text
+        return False
+    return 2 * sum(_numbers(row, separator) >= 2 for row in rows) > len(rows)
+
+
 def from_arrays(x: Any, height: Any, nodata: ArrayLike = (), unit: str = "") -> Measured:
     """Return points given as two lists of numbers; NaN is a missing height. Raises InputError."""
     arrays = as_numbers(x), as_numbers(height)

@@ -29,7 +29,6 @@ REFERENCE_FRONTS = 12800
 STEEP_REFERENCE_FRONTS = 3200  # under a law of linear growth, where a front costs ten times as much
 REPEATS = 3
 LONGEST_RUN = 0.3  # seconds of a run above which finer runs of its method are omitted
-SNAPSHOTS = 5  # number of times over which errors are measured
 U_ROUNDING = 4.0 * float(np.finfo(float).eps)  # of u - x of order 1 at a node
 INTEGRATED = 1e-12  # error of solutions integrated to 1e-13: exact fronts; closed forms, except for the rational law
 NOTHING = 1e-12  # |q| of a slope that is neutral to rounding
@@ -42,7 +41,7 @@ class Point(NamedTuple):
     Attributes:
         case, method: their names.
         cells: of the grid; the number of fronts for `fronts`, and the cells of the result for characteristics.
-        error_u_sup: sup|u - u_exact|, the largest of five times including both ends.
+        error_u_sup: sup|u - u_exact|, the largest of all saved times.
         error_q_l1: ∫|q - q_exact| dx, the largest of these times. Both errors are at least those of the reference.
         seconds, steps: of the time stepping.
     """
@@ -63,7 +62,7 @@ class Reference(NamedTuple):
         name: of the method.
         error, error_q: of its u and of its q in the norms of `Point`, by its own estimate; 0 for a closed form in
             elementary functions.
-        at: a function of a grid that returns u and q at the five times, shapes (5, cells + 1) and (5, cells).
+        at: a function of a grid that returns u and q at the saved times, shapes (times, cells + 1) and (times, cells).
     """
 
     name: str
@@ -78,15 +77,15 @@ def chart(
     """Run every method at several resolutions; each point has the median seconds of three runs.
 
     - `case`: the name of the case in the points and in messages.
-    - `problem`: law, profile and end; the saved times are replaced by five even ones.
+    - `problem`: law, profile, end, and the saved times, at which errors are measured.
     - `grid`: left end of the domain, and the number of cells of the results of characteristics.
     - `cfl`: the time step as a fraction of the largest one that each method admits.
     - `progress`: a function that is called with the completed fraction in [0, 1].
 
     Return the points and the reference. Seconds are those of the time stepping alone, without compilation and output.
-    Errors are sup|u - u_exact| and ∫|q - q_exact| dx, the largest of five times including both ends. Methods that break
-    down at a resolution are omitted there. Raise InputError if the end is 0, if a coefficient is prescribed, or if the
-    slope is neutral at all of these times except the first. Raise RunError if no method reaches the end.
+    Errors are sup|u - u_exact| and ∫|q - q_exact| dx, the largest of all saved times. Methods that break down at a
+    resolution are omitted there. Raise InputError if the end is 0, if a coefficient is prescribed, or if the slope is
+    neutral at all of these times after the start. Raise RunError if no method reaches the end.
 
     >>> import hjprofile as hj
     >>> problem = hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0)
@@ -100,13 +99,15 @@ def chart(
         raise InputError(f"{case}: end = {problem.end:g}; a chart needs an end above 0, because it measures run times")
     known_exactly = set(Feature) - {Feature.COEFFICIENT, Feature.LAYER}
     require(f"{case}: a chart, which needs the exact solution,", known_exactly, requirements(problem))
-    problem = replace(problem, snapshots=np.linspace(0.0, problem.end, SNAPSHOTS).tolist())
+    later = problem.times > 0.0
+    if not later.any():
+        raise InputError(f"{case}: no time after 0 is saved; a chart measures errors at the saved times")
     reference = _reference(problem, grid)
     known = {grid.cells: reference.at(grid)}
-    if not np.abs(known[grid.cells][1][1:]).max() > max(reference.error_q, NOTHING):
+    if not np.abs(known[grid.cells][1][later]).max() > max(reference.error_q, NOTHING):
         raise InputError(
-            f"{case}: the slope is neutral from the first measurement on, at t = {problem.times[1]:.6g}, so every "
-            "method is exact; set an earlier end"
+            f"{case}: the slope is neutral from the first measurement on, at t = {problem.times[later][0]:.6g}, "
+            "so every method is exact; save earlier times, or set an earlier end"
         )
     points: list[Point] = []
     plan = list(_plan(problem, grid, cfl))

@@ -59,7 +59,19 @@ def test_commands_on_one_case_share_its_folder(in_tmp, call, stand_ins):
     fill(call, write_case("a/case.toml"))
     found = names("results/case")
     assert found > ALL and len(found) == len(ALL) + 2  # with two members
-    assert call("run", "a/case.toml", "--cells", 40)[0] == 0 and names("results/case") == found
+    assert call("run", "a/case.toml", "--cells", 20)[0] == 0 and names("results/case") == found  # as in the file
+
+
+@pytest.mark.parametrize("change", [["--cells", "40"], ["--set", "erosion.law=log"], ["--end", "0.05"]])
+def test_options_make_another_case(in_tmp, call, stand_ins, change):
+    """The verdict and the sweep of the file are not those of the changed case; only the pictures are no part of it."""
+    case = write_case("case.toml")
+    fill(call, case)
+    assert call("run", case, *change)[0] == 0 and names("results/case") == RUN
+    Path("results/case/notes.txt").write_text("mine")
+    assert call("check", case)[0] == 0 and names("results/case") == {"check.json", "notes.txt"}
+    assert call("run", case, "--no-vtk", "--set", "output.plots=true")[0] == 0
+    assert names("results/case") > RUN | {"check.json", "profile.png"}
 
 
 def test_two_cases_of_one_name_do_not_share_a_folder(in_tmp, call, stand_ins):
@@ -150,6 +162,25 @@ def test_pictures_do_not_go_into_the_folder_of_another_case(in_tmp, call):
     assert call("run", "a.toml")[0] == 0 and names("results/a") == RUN  # what came of the former run is stale
 
 
+def test_files_made_elsewhere_are_of_one_run(in_tmp, call):
+    """Those of an older run with more saved times are removed, and a folder of another run is refused."""
+    call("run", write_case("a.toml", time={"end": 0.1, "snapshots": 5}))
+    assert call("export", "results/a", "--vtk", "--out", "vtk")[0] == 0 and len(names("vtk")) > 5
+    Path("vtk/notes.txt").write_text("mine")
+    call("run", write_case("a.toml"))
+    assert call("plot", "results/a", "--out", "vtk")[0] == 0
+    assert not [name for name in names("vtk") if name.endswith(".vtp")] and Path("vtk/notes.txt").exists()
+    call("run", write_case("b.toml", time={"end": 0.2, "snapshots": 2}))
+    before = names("vtk")
+    code, _, err = call("export", "results/b", "--vtk", "--out", "vtk")
+    assert code == 2 and "vtk belongs to " in err and names("vtk") == before
+    for name in ("a", "b"):  # a film that the user names is no folder of one case
+        assert call("animate", f"results/{name}", "--out", f"films/{name}.gif")[0] == 0
+    assert names("films") == {"a.gif", "b.gif"} and not Path("films", RECORD).exists()
+    Path("results/b", RECORD).unlink()  # a result that was copied without its record
+    assert call("plot", "results/b")[0] == 0 and call("run", "b.toml")[0] == 0
+
+
 def test_runs_from_python_replace_each_other(in_tmp):
     grid = hj.Grid(-2.0, 20)
     for end in (0.1, 0.2):
@@ -214,6 +245,20 @@ def test_a_picture_of_a_study_that_fails_costs_no_data(in_tmp, call, monkeypatch
     code, out, err = call("stability", write_case("case.toml"))
     assert (code, err) == (0, "") and names("results/case") == {"stability.csv"}
     assert "WARNING: stability.png could not be drawn (ValueError: no font); the data are complete\n" in out
+
+
+def test_no_picture_of_an_earlier_study_remains(in_tmp, call, monkeypatch):
+    """With the tables of a later one, whose picture could not be drawn."""
+    from hjprofile.studies import stability
+
+    trial = stability.Trial("case", "godunov", "cfl", 0.5, "holds", "", 1.0)
+    monkeypatch.setattr(stability, "scan", lambda *_: [trial])
+    case = write_case("case.toml")
+    monkeypatch.setattr("hjprofile.output.plots.study_pictures.stability_picture", lambda trials: b"drawn")
+    assert call("stability", case)[0] == 0 and names("results/case") == {"stability.csv", "stability.png"}
+    monkeypatch.setattr("hjprofile.output.plots.study_pictures.stability_picture", lambda trials: {}["font"])
+    code, out, err = call("stability", case)
+    assert (code, err) == (0, "") and names("results/case") == {"stability.csv"} and "could not be drawn" in out
 
 
 def test_a_warning_from_python(in_tmp, monkeypatch):

@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import re
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -314,6 +315,9 @@ def test_the_command_and_its_files(slope, coarse, call, tmp_path):
     )
     assert (report["points"], report["sigma"]) == (41, {"value": 0.4, "from": "given"})
     assert np.diag(report["correlation"]) == pytest.approx(1.0)
+    (line,) = [line for line in text.splitlines() if line.startswith("  correlations ")]
+    pairs = [f"{a} and {b} {report['correlation'][i][j]:.3f}" for (i, a), (j, b) in combinations(enumerate(TRUTH), 2)]
+    assert line == "  correlations  " + "; ".join(pairs) and len(pairs) == 3
     assert (out / "fit.png").read_bytes()[:4] == b"\x89PNG"
     # the fitted case is run as it is, from anywhere, and ends where the fit says
     case = hj.load_case(out / "fitted.toml")

@@ -53,7 +53,7 @@ def test_errors_are_what_they_are_called():
     exact = charts.closed_form(KINK)
     (godunov,) = [p for p in points if (p.method, p.cells) == ("godunov", 120)]
     grid = hj.Grid(-3.0, 120)
-    times = np.linspace(0.0, 0.5, charts.SNAPSHOTS)
+    times = KINK.times
     run = hj.solve_hj(hj.Problem(KINK.law, KINK.profile, end=0.5, snapshots=times.tolist()), grid, "godunov")
     u = np.array([exact.u(t, grid.nodes) for t in times])
     assert godunov.error_u_sup == pytest.approx(np.abs(run.u - u).max(), rel=1e-12)
@@ -62,17 +62,26 @@ def test_errors_are_what_they_are_called():
     assert max(p.error_u_sup for p in points if p.method in ("fronts", "characteristics")) <= 1e-8
 
 
-def test_errors_are_those_of_all_times(monkeypatch):
+def test_errors_are_those_of_all_saved_times(monkeypatch):
     """At the end of these the kink has left, the slope is critical, and every method is exact."""
     monkeypatch.setattr(charts, "CELLS", (60,))
-    left = hj.Problem(hj.rational(), hj.kinks([-1.0], [0.5]), end=3.0)  # at t = 1 + (1 - 1/e)/2 = 1.316
-    points, _ = hj.chart("left", left, hj.Grid(-2.0, 100))
+    monkeypatch.setattr(charts, "FRONTS", (50,))
+    left = hj.Problem(hj.rational(), hj.kinks([-1.0], [0.5]), end=8.0)  # at t = 1 + (1 - 1/e)/2 = 1.316
+    grid = hj.Grid(-2.0, 60)
+    points, _ = hj.chart("left", left, grid)
     assert min(p.error_q_l1 for p in points if p.method in ("godunov", "lax-friedrichs", "conservative")) > 1e-4
-    for still in (replace(left, end=8.0), replace(left, profile=hj.steps([-2.0, -1.0], [0.0]))):
+    exact, run = charts.closed_form(left), hj.solve_hj(left, grid, "godunov")
+    (godunov,) = [p for p in points if p.method == "godunov"]
+    apart = [np.abs(run.u[i] - exact.u(t, grid.nodes)).max() for i, t in enumerate(left.times)]
+    assert max(apart) > apart[-1] and godunov.error_u_sup == pytest.approx(max(apart), rel=1e-12)
+    times = (replace(left, snapshots=1), replace(left, snapshots=[0.0, 2.0, 8.0]))
+    for still in (*times, replace(left, profile=hj.steps([-2.0, -1.0], [0.0]))):
         with pytest.raises(
             hj.InputError, match=r"left: the slope is neutral from the first measurement on, at t = \S+, so every"
         ):
-            hj.chart("left", still, hj.Grid(-2.0, 100))
+            hj.chart("left", still, grid)
+    with pytest.raises(hj.InputError, match="left: no time after 0 is saved"):
+        hj.chart("left", replace(left, snapshots=[0.0]), grid)
 
 
 def test_no_error_is_less_than_the_reference_may_be_off():
