@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from hjprofile.problem.erosion import rational as rational
     from hjprofile.problem.given import profile as profile
     from hjprofile.problem.grid import Grid as Grid
+    from hjprofile.problem.profile_base import Profile as Profile
     from hjprofile.problem.profiles import bumps as bumps
     from hjprofile.problem.profiles import kinks as kinks
     from hjprofile.problem.profiles import points as points
@@ -75,6 +76,7 @@ _MODULES = {
     "problem.erosion": ("ErosionLaw", "erosion_law", "expression", "log", "power", "rational"),
     "problem.grid": ("Grid",),
     "problem.given": ("profile",),
+    "problem.profile_base": ("Profile",),
     "problem.profiles": ("bumps", "kinks", "points", "steady", "steps"),
     "problem.survey": ("read_survey", "survey"),
     "solvers.run": ("Run",),

@@ -51,14 +51,26 @@ def owner_of(cases: Sequence[Path]) -> Owner:
     """
     digest = hashlib.sha256()
     for path in cases:
-        content = {name: table for name, table in read_case(path).items() if name not in ("output", "expect")}
-        digest.update(_stable(content))
-        for table in content.values():
-            named = table if isinstance(table, Mapping) else {}
-            for file in (named.get("file"), named.get("result")):
-                if isinstance(file, str):
-                    digest.update(_bytes_of(located(path.parent, file)))
+        _hash_tables(digest, read_case(path), path.parent)
     return Owner(tuple(str(path.resolve()) for path in cases), digest.hexdigest())
+
+
+def owner_of_tables(content: Mapping[str, Any], base: Path) -> Owner:
+    """Return the owner of results computed from the tables of a case that is in no file; paths are relative to base."""
+    digest = hashlib.sha256()
+    _hash_tables(digest, content, base)
+    return Owner((), digest.hexdigest())
+
+
+def _hash_tables(digest: Any, content: Mapping[str, Any], base: Path) -> None:
+    """Add the tables of a case, and the files that they name, to a digest."""
+    used = {name: table for name, table in content.items() if name not in ("output", "expect")}
+    digest.update(_stable(used))
+    for table in used.values():
+        named = table if isinstance(table, Mapping) else {}
+        for file in (named.get("file"), named.get("result")):
+            if isinstance(file, str):
+                digest.update(_bytes_of(located(base, file)))
 
 
 def owner_of_run(case: Mapping[str, Any]) -> Owner:

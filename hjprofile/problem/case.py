@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import tomli_w
@@ -25,6 +25,7 @@ from hjprofile.problem.schema import SECTIONS, Choice, Choices, Faults, Key, Tab
 from hjprofile.problem.supply import from_layer, layer_table
 from hjprofile.problem.survey import survey
 
+IN_MEMORY = "case"  # name and source of a case that is in no file
 DEFAULT_METHOD = "local-lax-friedrichs"
 DEFAULT_CFL = 0.9
 DEFAULT_CHECKPOINT = 60.0  # seconds
@@ -61,7 +62,7 @@ OUTPUT = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Case:
     """A case file, read and checked.
 
@@ -100,12 +101,50 @@ class Case:
     refresh: float | None = None
     supplied: float | None = None
 
+    def __repr__(self) -> str:
+        options = {"cfl": self.cfl, "tolerance": self.tolerance, "refresh": self.refresh}
+        stated = "".join(f", {name}={value:g}" for name, value in options.items() if value is not None)
+        return f"Case({self.name!r}, method={self.method!r}{stated})\n  {self.problem!r}\n  {self.grid!r}"
 
-def load_case(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Case:
+
+AnyCase = (
+    Case | Mapping[str, Any] | str | Path
+)  # a case, its tables, the path of its file, or the name of a shipped one
+
+
+class Source(NamedTuple):
+    """The tables of a case, unchecked, with its name and source for messages, and the folder of paths in it."""
+
+    content: dict[str, Any]
+    name: str
+    source: str
+    base: Path
+
+
+def source_of(case: Any) -> Source:
+    """Return the source of a case: a path, a name of a shipped case, the tables of a case, or a `Case`."""
+    if isinstance(case, Case):
+        content = resolved_case(case.problem, case.grid, case.method, case.cfl, case.tolerance, case.refresh)
+        if case.supplied is not None:
+            content = with_values(content, {"time.supplied": case.supplied})
+        return Source(content, case.name, case.source, Path(case.source).parent)
+    if isinstance(case, Mapping):
+        return Source(plain(case), IN_MEMORY, IN_MEMORY, Path())
+    path = find_case(case)
+    return Source(read_case(path), path.stem, str(path), path.parent)
+
+
+def as_case(case: Any) -> Case:
+    """Return a `Case` itself, or the case that `load_case` returns for a path, a name or the tables of a case file."""
+    return case if isinstance(case, Case) else load_case(case)
+
+
+def load_case(path: AnyCase, overrides: Mapping[str, Any] | None = None) -> Case:
     """Read a case file and check it.
 
     Args:
-        path: the path of a TOML file, or the name of a case that comes with the package.
+        path: the path of a TOML file, the name of a case that comes with the package, the tables of a case file as
+            `tomllib` returns them, in which paths are relative to the current folder, or a `Case` to be changed.
         overrides: values that replace those of the file, by dotted key; numbers and arrays of numpy and tuples are
             accepted. Of `time.end` and `time.supplied` each replaces the other.
 
@@ -119,9 +158,9 @@ def load_case(path: str | Path, overrides: Mapping[str, Any] | None = None) -> C
     >>> hj.load_case("two_kinks", {"domain.cells": 500}).grid.cells
     500
     """
-    path = find_case(path)
-    content = with_values(read_case(path), _overriding(overrides))
-    return parse_case(content, name=path.stem, source=str(path), base=path.parent)
+    found = source_of(path)
+    content = with_values(found.content, _overriding(overrides))
+    return parse_case(content, found.name, found.source, found.base)
 
 
 def with_values(content: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
