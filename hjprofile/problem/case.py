@@ -129,6 +129,9 @@ def source_of(case: Any) -> Source:
             content = with_values(content, {"time.supplied": case.supplied})
         return Source(content, case.name, case.source, Path(case.source).parent)
     if isinstance(case, Mapping):
+        for key in [*case, *(name for table in case.values() if isinstance(table, Mapping) for name in table)]:
+            if not isinstance(key, str):
+                raise InputError(f"{shown(key)} is not a key of a case; keys are text", "a-case-file")
         return Source(plain(case), IN_MEMORY, IN_MEMORY, Path())
     path = find_case(case)
     return Source(read_case(path), path.stem, str(path), path.parent)

@@ -12,7 +12,7 @@ import numpy as np
 import hjprofile
 from hjprofile.problem.case import law_from, to_toml
 from hjprofile.problem.erosion import ErosionLaw
-from hjprofile.problem.ranges import read_only
+from hjprofile.problem.ranges import as_index, read_only
 from hjprofile.problem.units import SurveyLine, Units
 from hjprofile.solvers.norms import Limit, Norms, States, limits, norms
 from hjprofile.solvers.run_repr import as_html, as_text
@@ -377,8 +377,10 @@ class Run(SavedStates):
 
     def kinks_at(self, index: int) -> list[KinkRecord]:
         """Return the kinks at the saved time `self.time[index]`, from left to right."""
-        return [k for k in self.kinks if k.time == self.time[index]]
+        t = self.time[as_index("index", index, len(self.time))]
+        return [k for k in self.kinks if k.time == t]
 
     def steps_at(self, index: int) -> list[VerticalStep]:
         """Return the vertical steps at the saved time `self.time[index]`, from left to right."""
-        return [s for s in self.vertical_steps or () if s.time == self.time[index]]
+        t = self.time[as_index("index", index, len(self.time))]
+        return [s for s in self.vertical_steps or () if s.time == t]

@@ -226,3 +226,41 @@ def test_no_internal_arguments():
         thing = getattr(hj, name)
         if callable(thing):
             assert not SIGNATURES & set(inspect.signature(thing).parameters), name
+
+
+TABLES = {
+    "erosion": {"law": "rational"},
+    "profile": {"kind": "kinks", "positions": (-3.0, -2.0), "amplitudes": np.array([0.5, 1.0])},
+    "domain": {"left": -5.0, "cells": np.int64(40)},
+    "time": {"end": 0.2, "snapshots": 3},
+}
+
+
+def test_all_forms_of_a_case(tmp_path):
+    """A path, a `Case` and the tables of a file give the same runs, sweeps and changed cases."""
+    path = tmp_path / "case.toml"
+    path.write_text(
+        '[erosion]\nlaw = "rational"\n[profile]\nkind = "kinks"\npositions = [-3.0, -2.0]\namplitudes = [0.5, 1.0]\n'
+        "[domain]\nleft = -5.0\ncells = 40\n[time]\nend = 0.2\nsnapshots = 3\n"
+    )
+    runs = [hj.solve_case(case) for case in (path, TABLES, hj.load_case(path), hj.load_case(TABLES))]
+    assert all(np.array_equal(run.u, runs[0].u) for run in runs)
+    for case in (path, TABLES, hj.load_case(path)):
+        assert hj.load_case(case, {"time.end": 0.1}).problem.end == 0.1
+        found = hj.sweep(case, {"domain.cells": [20, 30]}, folder=tmp_path / "swept")
+        assert [outcome.status for outcome in found.outcomes] == ["done", "done"]
+    assert isinstance(TABLES["profile"]["positions"], tuple)  # the tables are not changed
+
+
+def test_a_survey_keeps_its_supplied_volume():
+    """A `Case` with `supplied` states it again when it is changed."""
+    case = hj.load_case("hillslope", {"time.supplied": 10_000.0})
+    changed = hj.load_case(case, {"profile.length": 100.0, "domain.left": -26.0})
+    assert changed.supplied == 10_000.0 and changed.problem.end == pytest.approx(4.0 * case.problem.end)
+
+
+@pytest.mark.parametrize("case", [3, None, [1], {}, {"a": 1}, {3: 4}, {"erosion": {4: 1}}, "no such case"])
+def test_what_is_no_case(case):
+    for use in (hj.solve_case, hj.load_case, hj.check, lambda case: hj.sweep(case, {"domain.cells": [20]})):
+        with pytest.raises(hj.InputError):
+            use(case)
