@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from hjprofile.problem.given import profile as profile
     from hjprofile.problem.grid import Grid as Grid
     from hjprofile.problem.new_case import new_case as new_case
+    from hjprofile.problem.profile_base import Profile as Profile
     from hjprofile.problem.profiles import bumps as bumps
     from hjprofile.problem.profiles import kinks as kinks
     from hjprofile.problem.profiles import points as points
@@ -93,6 +94,7 @@ _MODULES = {
     "problem.erosion": ("ErosionLaw", "erosion_law", "expression", "log", "power", "rational"),
     "problem.grid": ("Grid",),
     "problem.given": ("profile",),
+    "problem.profile_base": ("Profile",),
     "problem.profiles": ("bumps", "kinks", "points", "steady", "steps"),
     "problem.survey": ("read_survey", "survey"),
     "solvers.closed_forms": ("exact",),

@@ -16,7 +16,7 @@ from hjprofile.problem.case import parse_case
 from hjprofile.solvers.solve import check_case
 
 HOME = Path(hjprofile.__file__).parent
-SAYING = {"InputError", "RunError", "complain", "error", "refuse"}  # what is called with a sentence
+SAYING = {"InputError", "RunError", "PicklingError", "complain", "error", "refuse"}  # what is called with a sentence
 ABOUT = {"InputError", "RunError", "error", "complain"}  # ... and with a heading after it
 # functions whose strings are parts of such sentences
 PARTS = {"did_you_mean", "_what_a_header_is"}

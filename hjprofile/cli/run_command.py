@@ -28,7 +28,7 @@ from hjprofile.cli.common import (
     listing,
     require_cases,
     say,
-)
+)  # fmt: skip
 from hjprofile.cli.messages import FAILURES, report
 from hjprofile.errors import RunError
 
@@ -38,6 +38,8 @@ class _Options(NamedTuple):
 
     Attributes:
         values: values that replace those of the case, by dotted key.
+        strict: True to stop a run that violates a bound.
+        resume: True to continue from a checkpoint.
         quiet: True to print no account.
         bar: True to show progress.
     """

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 from hjprofile.errors import InputError
 from hjprofile.files import write_whole
-from hjprofile.problem.case import with_values
 from hjprofile.problem.case_files import read_case
+from hjprofile.problem.case_keys import with_values
 from hjprofile.problem.paths import located
 
 RECORD = ".hjprofile.json"  # a file in the folder with its owner and the names of the files that hjprofile wrote there
@@ -53,15 +53,26 @@ def owner_of(cases: Sequence[Path], values: Mapping[str, Any] | None = None) -> 
     """
     digest = hashlib.sha256()
     for path in cases:
-        whole = with_values(read_case(path), values or {})
-        content = {name: table for name, table in whole.items() if name not in ("output", "expect")}
-        digest.update(_stable(content))
-        for table in content.values():
-            named = table if isinstance(table, Mapping) else {}
-            for file in (named.get("file"), named.get("result")):
-                if isinstance(file, str):
-                    digest.update(_bytes_of(located(path.parent, file)))
+        _hash_tables(digest, with_values(read_case(path), values or {}), path.parent)
     return Owner(tuple(str(path.resolve()) for path in cases), digest.hexdigest())
+
+
+def owner_of_tables(content: Mapping[str, Any], base: Path) -> Owner:
+    """Return the owner of results computed from the tables of a case that is in no file; paths are relative to base."""
+    digest = hashlib.sha256()
+    _hash_tables(digest, content, base)
+    return Owner((), digest.hexdigest())
+
+
+def _hash_tables(digest: Any, content: Mapping[str, Any], base: Path) -> None:
+    """Add the tables of a case, and the files that they name, to a digest."""
+    used = {name: table for name, table in content.items() if name not in ("output", "expect")}
+    digest.update(_stable(used))
+    for table in used.values():
+        named = table if isinstance(table, Mapping) else {}
+        for file in (named.get("file"), named.get("result")):
+            if isinstance(file, str):
+                digest.update(_bytes_of(located(base, file)))
 
 
 def owner_of_run(case: Mapping[str, Any]) -> Owner:

@@ -50,9 +50,7 @@ class Written(NamedTuple):
     warnings: list[str]
 
 
-def write_run(
-    run: Run, folder: str | Path, vtk: bool = True, plots: bool = True, helper: Executor | None = None
-) -> list[Path]:
+def write_run(run: Run, folder: str | Path, vtk: bool = True, plots: bool = True) -> list[Path]:
     """Write the result folder of a run.
 
     Files of another case or of an earlier run in the folder are removed. If a picture or the VTK files cannot be made,
@@ -63,7 +61,6 @@ def write_run(
         folder: the path of the folder, which is created.
         vtk: True to write VTK files.
         plots: True to draw pictures.
-        helper: an executor that draws the pictures while the data are written, or None.
 
     Returns:
         The paths of the written files.
@@ -82,7 +79,7 @@ def write_run(
     """
     instance("run", run, Run)
     place = ResultFolder(as_path("folder", folder), owner_of_run(run.case)).open()
-    written, files = write_results(run, place, vtk, plots, helper)
+    written, files = write_results(run, place, vtk, plots, None)
     for caution in written.cautions[len(run.cautions) :]:
         warnings.warn(caution, stacklevel=2)
     return files

@@ -16,9 +16,10 @@ import hjprofile
 from hjprofile.errors import InputError, RunError
 from hjprofile.files import write_whole
 from hjprofile.output.archive import pack, unpack
-from hjprofile.output.folder import MEMBERS, ResultFolder, owner_of
+from hjprofile.output.folder import MEMBERS, Owner, ResultFolder, owner_of, owner_of_tables
 from hjprofile.output.store import to_csv, to_json
 from hjprofile.output.survey_columns import in_survey_units, survey_columns
+from hjprofile.problem.case import AnyCase, Case, source_of
 from hjprofile.problem.case_files import find_case
 from hjprofile.problem.ranges import instance, plain, shown
 from hjprofile.problem.units import SAME, UNNAMED, Units
@@ -96,8 +97,16 @@ class Sweep:
         return ["status", "method", *QUANTITIES, "broken_bounds", "wall_seconds", *added]
 
 
+def _owner(case: Any) -> Owner:
+    """Return the owner of the results of a sweep of a case."""
+    if not isinstance(case, Case | Mapping):
+        return owner_of([find_case(case)])
+    found = source_of(case)
+    return owner_of_tables(found.content, found.base)
+
+
 def sweep(
-    case: str | Path,
+    case: AnyCase,
     vary: Mapping[str, Iterable[Any]],
     executor: Executor | None = None,
     folder: str | Path | None = None,
@@ -109,7 +118,8 @@ def sweep(
     With a folder, `sweep.csv` and `sweep.nc` are written to it, and each member is stored there when it is solved.
 
     Args:
-        case: the path of a case file, or the name of a case that comes with the package.
+        case: the path of a case file, the name of a case that comes with the package, the tables of a case file, or a
+            `Case`.
         vary: dotted key -> values, as in {"erosion.m": [0.5, 1, 2], "time.end": [1.0, 3.0]}.
         executor: an executor of `concurrent.futures`, or None for one member after the other; the results are the same
             to the last bit.
@@ -139,7 +149,7 @@ def sweep(
     place = kept = None
     recalled = 0
     if folder is not None:
-        place = ResultFolder(folder, owner_of([find_case(case)]), keep=MEMBERS if resume else "").open()
+        place = ResultFolder(folder, _owner(case), keep=MEMBERS if resume else "").open()
         kept = place.path / KEPT
         place.claim(MEMBERS, "sweep.csv", "sweep.nc")
         for name in ("sweep.csv", "sweep.nc"):

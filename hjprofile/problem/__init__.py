@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from hjprofile.problem.line import moved, tail
 from hjprofile.problem.lists import as_numbers
 from hjprofile.problem.model import LinearGrowth, Model, Prescribed, RollingLayer, SlowErosion, WholeLine
 from hjprofile.problem.profiles import TAIL, Profile
-from hjprofile.problem.ranges import SAME_TIME, instance, number, plain, shown
+from hjprofile.problem.ranges import SAME_TIME, brief, instance, number, plain, shown
 from hjprofile.problem.supply import SupplyFlux, in_words, supply_flux
 
 LINES = "half", "whole"
@@ -24,7 +24,7 @@ LONGEST_TITLE = 500  # characters; a picture wraps them into a dozen lines
 FAR_LEFT = 4.0  # ratio of domain to survey above which `left` is probably in metres
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Problem:
     """A slope and the mass of grains supplied at its crest.
 
@@ -85,6 +85,12 @@ class Problem:
         if len(models) > 1:
             raise InputError(f"{' and '.join(models)} cannot be combined")
         self._check_units()
+
+    def __repr__(self) -> str:
+        stated = {field.name: getattr(self, field.name) for field in fields(self)}
+        further = {f.name: stated.pop(f.name) for f in fields(self) if f.default is not MISSING}
+        changed = {f.name: further[f.name] for f in fields(self) if f.name in further and further[f.name] != f.default}
+        return f"Problem({', '.join(f'{name}={brief(value)}' for name, value in (stated | changed).items())})"
 
     def _check_units(self) -> None:
         """Raise InputError if the coefficient has other units than the profile: its x is another position."""

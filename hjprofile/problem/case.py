@@ -1,67 +1,32 @@
-"""The schema of case files: the sections, their keys, and the functions that build a case from them."""
+"""Cases: the problem of a case file with its grid and its options, built from the tables of the file."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import tomli_w
 
-from hjprofile.errors import InputError, by_last_part, did_you_mean, nearest
-from hjprofile.problem import LONGEST_TITLE, Problem, coefficient, erosion, profiles
+from hjprofile.errors import InputError, nearest
+from hjprofile.problem import LONGEST_TITLE, Problem, erosion, profiles
+from hjprofile.problem import case_keys as keys
 from hjprofile.problem.case_files import find_case, read_case
+from hjprofile.problem.case_keys import overriding, with_values
 from hjprofile.problem.coefficient import Coefficient
 from hjprofile.problem.erosion import ErosionLaw
-from hjprofile.problem.given import from_file
-from hjprofile.problem.grid import FEWEST_CELLS, Grid
-from hjprofile.problem.kinds import COUNT_OR_TIMES, NUMBER, POSITIVE, SWITCH, TABLE, TEXT, WHOLE
+from hjprofile.problem.grid import Grid
 from hjprofile.problem.profiles import TAIL, Profile
-from hjprofile.problem.ranges import RANGES, number, plain, shown, whole
-from hjprofile.problem.schema import SECTIONS, Choice, Choices, Faults, Key, Table, to_table
-from hjprofile.problem.supply import LAYER, from_layer, layer_table
-from hjprofile.problem.survey import survey
+from hjprofile.problem.ranges import RANGES, plain, shown
+from hjprofile.problem.schema import SECTIONS, Faults, Table, to_table
+from hjprofile.problem.supply import from_layer, layer_table
 
-DEFAULT_METHOD = "local-lax-friedrichs"
-DEFAULT_CFL = 0.9
-DEFAULT_CHECKPOINT = 60.0  # seconds
-
-TOP = Key("title", TEXT, None), *(Key(name, TABLE, {}) for name in (*SECTIONS, "expect"))
-LAWS = Choices(Key("law", TEXT), erosion.rational, erosion.log, erosion.power, erosion.expression, erosion.from_file)
-PROFILES = Choices(
-    Key("kind", TEXT), profiles.Kinks, profiles.Bumps, profiles.steps, profiles.Points, profiles.Steady, survey,
-    from_file,
-)  # fmt: skip
-COEFFICIENTS = Choices(
-    Key("kind", TEXT), coefficient.from_expression, coefficient.from_file, coefficient.stored_coefficient
-)
-CELLS = Key("cells", WHOLE, check=partial(whole, least=FEWEST_CELLS))
-LINES = Choices(
-    Key("line", TEXT, "half"),
-    Choice("half", (Key("left", NUMBER, None), CELLS, Key("right", NUMBER, 0.0))),
-    Choice("whole", (Key("left", NUMBER), CELLS, Key("right", NUMBER))),
-)
-SNAPSHOTS = Key("snapshots", COUNT_OR_TIMES, 31, filled=True)
-TIME = Key("end", NUMBER, check=number), Key("supplied", NUMBER, None, check=number), SNAPSHOTS
-OF_VOLUME = Key("end", NUMBER, None), Key("supplied", NUMBER, check=number), SNAPSHOTS  # a [time] that states a volume
-ALTERNATIVES = {"time.end": "time.supplied", "time.supplied": "time.end"}  # each replaces the other
-SOLVER = (
-    Key("method", TEXT, DEFAULT_METHOD, filled=True),
-    Key("cfl", POSITIVE, DEFAULT_CFL, filled=True, check=number),
-    Key("tolerance", POSITIVE, None),
-    Key("refresh", POSITIVE, None),
-)
-OUTPUT = (
-    Key("vtk", SWITCH, True),
-    Key("plots", SWITCH, True),
-    Key("checkpoint", POSITIVE, DEFAULT_CHECKPOINT, check=number),
-)
+IN_MEMORY = "case"  # name and source of a case that is in no file
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Case:
     """A case file, read and checked.
 
@@ -90,22 +55,62 @@ class Case:
     source: str
     problem: Problem
     grid: Grid
-    method: str = DEFAULT_METHOD
-    cfl: float = DEFAULT_CFL
+    method: str = keys.DEFAULT_METHOD
+    cfl: float = keys.DEFAULT_CFL
     tolerance: float | None = None
     vtk: bool = True
     plots: bool = True
-    checkpoint: float = DEFAULT_CHECKPOINT
+    checkpoint: float = keys.DEFAULT_CHECKPOINT
     expect: Mapping[str, Any] | None = None
     refresh: float | None = None
     supplied: float | None = None
 
+    def __repr__(self) -> str:
+        options = {"cfl": self.cfl, "tolerance": self.tolerance, "refresh": self.refresh}
+        stated = "".join(f", {name}={value:g}" for name, value in options.items() if value is not None)
+        return f"Case({self.name!r}, method={self.method!r}{stated})\n  {self.problem!r}\n  {self.grid!r}"
 
-def load_case(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Case:
+
+# a case, its tables, the path of its file, or the name of a shipped one
+AnyCase = Case | Mapping[str, Any] | str | Path
+
+
+class Source(NamedTuple):
+    """The tables of a case, unchecked, with its name and source for messages, and the folder of paths in it."""
+
+    content: dict[str, Any]
+    name: str
+    source: str
+    base: Path
+
+
+def source_of(case: Any) -> Source:
+    """Return the source of a case: a path, a name of a shipped case, the tables of a case, or a `Case`."""
+    if isinstance(case, Case):
+        content = resolved_case(case.problem, case.grid, case.method, case.cfl, case.tolerance, case.refresh)
+        if case.supplied is not None:
+            content = with_values(content, {"time.supplied": case.supplied})
+        return Source(content, case.name, case.source, Path(case.source).parent)
+    if isinstance(case, Mapping):
+        for key in [*case, *(name for table in case.values() if isinstance(table, Mapping) for name in table)]:
+            if not isinstance(key, str):
+                raise InputError(f"{shown(key)} is not a key of a case; keys are text", "a-case-file")
+        return Source(plain(case), IN_MEMORY, IN_MEMORY, Path())
+    path = find_case(case)
+    return Source(read_case(path), path.stem, str(path), path.parent)
+
+
+def as_case(case: Any) -> Case:
+    """Return a `Case` itself, or the case that `load_case` returns for a path, a name or the tables of a case file."""
+    return case if isinstance(case, Case) else load_case(case)
+
+
+def load_case(path: AnyCase, overrides: Mapping[str, Any] | None = None) -> Case:
     """Read a case file and check it.
 
     Args:
-        path: the path of a TOML file, or the name of a case that comes with the package.
+        path: the path of a TOML file, the name of a case that comes with the package, the tables of a case file as
+            `tomllib` returns them, in which paths are relative to the current folder, or a `Case` to be changed.
         overrides: values that replace those of the file, by dotted key; numbers and arrays of numpy and tuples are
             accepted. Of `time.end` and `time.supplied` each replaces the other.
 
@@ -119,58 +124,9 @@ def load_case(path: str | Path, overrides: Mapping[str, Any] | None = None) -> C
     >>> hj.load_case("two_kinks", {"domain.cells": 500}).grid.cells
     500
     """
-    path = find_case(path)
-    content = with_values(read_case(path), _overriding(overrides))
-    return parse_case(content, name=path.stem, source=str(path), base=path.parent)
-
-
-def with_values(content: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a copy of the tables of a case with these values by dotted key.
-
-    A value of `time.end` replaces `time.supplied`, and the reverse, unless both are among the values.
-    """
-    tables = {name: dict(table) if isinstance(table, dict) else table for name, table in content.items()}
-    for key, value in values.items():
-        section, dot, name = key.partition(".")
-        if not dot:
-            tables[key] = value
-        elif isinstance(tables.setdefault(section, {}), dict):
-            tables[section][name] = value
-            other = ALTERNATIVES.get(key)
-            if other and other not in values:
-                tables[section].pop(other.partition(".")[2], None)
-    return tables
-
-
-def _overriding(overrides: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return key -> value as TOML could hold it. Raise InputError if a key is not one of a case."""
-    if not isinstance(overrides, (Mapping, type(None))):
-        raise InputError(f"overrides = {shown(overrides)} must be a table of keys and values", "a-case-file")
-    for key in overrides or {}:
-        if not isinstance(key, str) or key.count(".") > 1 or not all(key.split(".")):
-            raise InputError(f"{shown(key)} is not a key of a case; it is written section.key, or title", "a-case-file")
-        _check_section(key)
-    return {key: plain(value) for key, value in (overrides or {}).items()}
-
-
-def _check_section(key: str) -> None:
-    """Raise InputError for a key without its section, or with that of another key."""
-    known = {f"{section}.{key.name}" for section, keys in _keys().items() for key in keys}
-    section, dot, name = key.rpartition(".")
-    misplaced = section in SECTIONS and any(name == each.rpartition(".")[2] for each in known)
-    if key not in known and (misplaced or (not dot and key not in (each.name for each in TOP))):
-        hint = did_you_mean(name, by_last_part(known))
-        raise InputError(f"{shown(key)} is not a key of a case{hint}", "a-misspelt-key")
-
-
-def _keys() -> dict[str, list[Key]]:
-    """Return section -> its keys, with those of every law and kind."""
-    choices = {"erosion": LAWS, "profile": PROFILES, "coefficient": COEFFICIENTS, "domain": LINES}
-    keys = {
-        section: [each.chooser, *(k for c in each.choices.values() for k in c.keys)]
-        for section, each in choices.items()
-    }
-    return keys | {"layer": [*LAYER], "time": [*TIME], "solver": [*SOLVER], "output": [*OUTPUT]}
+    found = source_of(path)
+    content = with_values(found.content, overriding(overrides))
+    return parse_case(content, found.name, found.source, found.base)
 
 
 @np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks reject
@@ -181,12 +137,12 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
     """
     faults = Faults(source)
     top, sections = _sections(faults, content, name)
-    law = LAWS.build(sections["erosion"], base)
-    profile = PROFILES.build(sections["profile"], base)
-    given = COEFFICIENTS.build(sections["coefficient"], base) if "coefficient" in content else None
-    supply, domain = from_layer(sections["layer"], base), LINES.read(sections["domain"])
-    time, solver = _time(sections["time"]), sections["solver"].take(SOLVER)
-    output = sections["output"].take(OUTPUT)
+    law = keys.LAWS.build(sections["erosion"], base)
+    profile = keys.PROFILES.build(sections["profile"], base)
+    given = keys.COEFFICIENTS.build(sections["coefficient"], base) if "coefficient" in content else None
+    supply, domain = from_layer(sections["layer"], base), keys.LINES.read(sections["domain"])
+    time, solver = _time(sections["time"]), sections["solver"].take(keys.SOLVER)
+    output = sections["output"].take(keys.OUTPUT)
     grid = _grid(sections["domain"], domain, profile, solver["tolerance"])
     problem = _timed(sections["time"], time, top["title"], profile)
     if grid and problem:
@@ -203,7 +159,7 @@ def parse_case(content: Mapping[str, Any], name: str, source: str, base: Path) -
 def _sections(faults: Faults, content: Mapping[str, Any], name: str) -> tuple[dict[str, Any], dict[str, Table]]:
     """Return the values above all sections, and the sections. Do not check a section whose name is misspelt."""
     table = Table(faults, "", content)
-    top = table.take(TOP)
+    top = table.take(keys.TOP)
     title = name if top["title"] is None else top["title"]
     if len(title) > LONGEST_TITLE:
         table.error(f"title has {len(title)} characters; at most {LONGEST_TITLE} are allowed")
@@ -225,7 +181,7 @@ def _grid(table: Table, domain: Mapping[str, Any], profile: Profile | None, tole
 
 def _time(table: Table) -> dict[str, Any]:
     """Return the values of a [time], which has either `end` or `supplied`."""
-    time = table.take(OF_VOLUME if "supplied" in table.values else TIME)
+    time = table.take(keys.OF_VOLUME if "supplied" in table.values else keys.TIME)
     if "end" in table.values and "supplied" in table.values:
         table.error("end and supplied are both given; a case has one of them, so remove the other")
     return time
@@ -285,13 +241,13 @@ def _together(
 def law_from(table: Mapping[str, Any]) -> ErosionLaw:
     """Return the law of the `[erosion]` table of a stored case. Raise InputError as `load_case` does."""
     faults = Faults("the stored case")
-    law: ErosionLaw = LAWS.build(Table(faults, "erosion", table), Path())
+    law: ErosionLaw = keys.LAWS.build(Table(faults, "erosion", table), Path())
     faults.stop()
     return law
 
 
 def resolved_case(
-    problem: Problem, grid: Grid, method: str, cfl: float = DEFAULT_CFL, tolerance: float | None = None,
+    problem: Problem, grid: Grid, method: str, cfl: float = keys.DEFAULT_CFL, tolerance: float | None = None,
     refresh: float | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Return the case as a table ready for TOML, with every default filled in."""
@@ -302,9 +258,9 @@ def resolved_case(
         "layer": layer_table(problem.supply),
         "profile": plain(problem.profile.table),
         "coefficient": plain(problem.coefficient.table) if problem.coefficient else {},
-        "domain": LINES.table(domain),
-        "time": to_table(TIME, {"end": problem.end, "snapshots": problem.snapshots}),
-        "solver": to_table(SOLVER, solver),
+        "domain": keys.LINES.table(domain),
+        "time": to_table(keys.TIME, {"end": problem.end, "snapshots": problem.snapshots}),
+        "solver": to_table(keys.SOLVER, solver),
     }
     return {"title": problem.title} | {name: table for name, table in sections.items() if table}
 

@@ -14,17 +14,17 @@ import numpy as np
 from hjprofile.errors import InputError, RunError
 from hjprofile.problem.expressions import arithmetic
 from hjprofile.problem.kinds import STRIPPED, TEXT
-from hjprofile.problem.paths import located
-from hjprofile.problem.ranges import RANGES, Array, as_path, shown
-from hjprofile.problem.schema import choice, table_of
+from hjprofile.problem.paths import folder_of, located
+from hjprofile.problem.ranges import RANGES, Array, as_path, brief, shown
+from hjprofile.problem.schema import as_call, choice, table_of
 from hjprofile.problem.stored import read_profile
 from hjprofile.problem.units import Units
-from hjprofile.problem.user_code import evaluating, load_function, over_arrays
+from hjprofile.problem.user_code import Sendable, evaluating, load_function, over_arrays
 
 PROBE = np.array([[0.0], [0.25]]), np.array([-0.5, -0.25, 0.0])  # (t, x) at which a function is tried with arrays
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Coefficient:
     """A coefficient k(t, x) of the flux k f(q) (§7).
 
@@ -49,6 +49,18 @@ class Coefficient:
     end: float = np.inf
     content: str | None = None
     units: Units | None = None
+
+    def __repr__(self) -> str:
+        if "expression" in self.table:
+            return f"coefficient({brief(self.table['expression'])})"
+        if "result" in self.table:
+            return f"stored_coefficient({brief(self.table['result'])})"
+        return as_call(self.table, "kind", "coefficient")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        if self.content == "":
+            return coefficient, (self.table["expression"],)
+        return type(self), tuple(vars(self).values())
 
     def values(self, t: Any, x: Any) -> Array:
         """Return k at times t and positions x, arrays that broadcast; the result has their common shape.
@@ -109,7 +121,14 @@ def coefficient(k: str | Callable[..., Any]) -> Coefficient:
         steady = len(inspect.signature(k).parameters) == 1
     except (TypeError, ValueError):  # compiled functions need not have a signature
         steady = False
-    return Coefficient(over_arrays((lambda t, x: k(x)) if steady else k, *PROBE), table, steady)
+    return Coefficient(over_arrays(_OfPlace(k) if steady else k, *PROBE), table, steady)
+
+
+class _OfPlace(Sendable):
+    """A function of x as one of t and x."""
+
+    def __call__(self, t: Any, x: Any) -> Any:
+        return self.f(x)
 
 
 @choice("expression", expression=STRIPPED)
@@ -120,21 +139,20 @@ def from_expression(expression: str) -> Coefficient:
 
 
 @choice("python", file=TEXT, function=TEXT)
-def from_file(file: str | Path, function: str, base: Path | None = None) -> Coefficient:
+def from_file(file: str | Path, function: str) -> Coefficient:
     """Return a coefficient from the function of that name in a Python file, which is run."""
-    loaded = load_function(located(base or Path(), file), function)
+    loaded = load_function(located(folder_of(file), file), function)
     return replace(coefficient(loaded.function), content=loaded.content)
 
 
 @choice("run", result=TEXT)
-def stored_coefficient(result: str | Path, base: Path = Path()) -> Coefficient:
+def stored_coefficient(result: str | Path) -> Coefficient:
     """Return the grain flux K of a stored run as a prescribed coefficient.
 
     ln K is linear in t and in x between the saved times and the nodes.
 
     Args:
         result: the result folder of the run.
-        base: the folder to which `result` is relative.
 
     Returns:
         The coefficient, known on the domain and up to the end of that run.
@@ -149,7 +167,7 @@ def stored_coefficient(result: str | Path, base: Path = Path()) -> Coefficient:
     ...     print("not a result folder")
     not a result folder
     """
-    path = located(base, as_path("result", result)) / "profile.nc"
+    path = located(folder_of(result), as_path("result", result)) / "profile.nc"
     try:
         arrays, attributes = read_profile(path)
         units = Units.from_attributes(attributes)
@@ -170,12 +188,24 @@ def tabulated(time: Array, x: Array, k: Array) -> Coefficient:
     """Return the coefficient of values k, shape (times, positions), at increasing times and positions; ln k is linear
     between.
     """
-    ln_k = np.log(k)
+    found = _Tabulated(time, x, np.log(k))
+    content = hashlib.sha256(b"".join(values.tobytes() for values in (time, x, found.ln_k))).hexdigest()
+    table = table_of(stored_coefficient, {"result": ""})
+    return Coefficient(found, table, time.size == 1, float(x[0]), float(time[-1]), content)
 
-    def between(t: Array, at: Array) -> Array:
-        (j, after), (i, right) = _place(time, t), _place(x, at)
+
+@dataclass(frozen=True, eq=False)
+class _Tabulated:
+    """A function of t and x between values."""
+
+    time: Array
+    x: Array
+    ln_k: Array
+
+    def __call__(self, t: Array, at: Array) -> Array:
+        (j, after), (i, right) = _place(self.time, t), _place(self.x, at)
         first = int(np.min(j))
-        rows = ln_k[first : int(np.max(j)) + 2]
+        rows = self.ln_k[first : int(np.max(j)) + 2]
         across = (1.0 - right) * rows[:, i] + right * rows[:, i + 1]  # in x first: few times, many positions
         j = j - first
         next_j = np.minimum(j + 1, len(rows) - 1)
@@ -185,10 +215,6 @@ def tabulated(time: Array, x: Array, k: Array) -> Coefficient:
             places = np.indices(at.shape, sparse=True)
             before, behind = across[(j, *places)], across[(next_j, *places)]
         return np.exp((1.0 - after) * before + after * behind)
-
-    content = hashlib.sha256(b"".join(values.tobytes() for values in (time, x, ln_k))).hexdigest()
-    table = table_of(stored_coefficient, {"result": ""})
-    return Coefficient(between, table, time.size == 1, float(x[0]), float(time[-1]), content)
 
 
 def _place(knots: Array, at: Array) -> tuple[Array, Array]:

@@ -19,10 +19,11 @@ from hjprofile.errors import InputError
 from hjprofile.problem.assumptions import check_assumptions
 from hjprofile.problem.expressions import arithmetic
 from hjprofile.problem.kinds import POSITIVE, STRIPPED, TEXT
-from hjprofile.problem.paths import located
+from hjprofile.problem.lists import as_numbers
+from hjprofile.problem.paths import folder_of, located
 from hjprofile.problem.ranges import Array, number, shown
-from hjprofile.problem.schema import choice, table_of
-from hjprofile.problem.user_code import Function, load_function, on_copies, over_arrays
+from hjprofile.problem.schema import as_call, choice, table_of
+from hjprofile.problem.user_code import Function, OnCopies, Sendable, load_function, over_arrays
 
 NEAR_ZERO = 0.05  # |q| below which a polynomial gives f(q)/q: f may be a difference of numbers of order one
 DEGREES = 13, 29  # of the polynomial; the first one whose last coefficients are below DIGITS times the largest
@@ -36,22 +37,22 @@ FARTHEST = 1e5  # slope beyond which f - q f' of a law of linear growth is taken
 _STENCIL = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])  # eighth-order central difference
 
 
-def differentiate(f: Function) -> Function:
-    """Return f' by an eighth-order central difference with steps of 1 % of 1 + q, which stay within q > -1.
+class Differentiated(Sendable):
+    """f' by an eighth-order central difference with steps of 1 % of 1 + q, which stay within q > -1.
 
     On a scale of 1 + q the truncation error is below 1e-14 for logarithms and powers, the rounding error about 1e-14.
     """
 
-    def derivative(q):
+    def __call__(self, q: Any) -> Any:
         h = 0.01 * (1.0 + np.asarray(q, dtype=float))
-        return sum(c * (f(q + k * h) - f(q - k * h)) for k, c in enumerate(_STENCIL, start=1)) / h
-
-    return derivative
+        return sum(c * (self.f(q + k * h) - self.f(q - k * h)) for k, c in enumerate(_STENCIL, start=1)) / h
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class ErosionLaw:
     """An erosion law and the functions derived from it, which take and return arrays of any shape.
+
+    `law(q)` is f(q). A law is equal to itself only. It can be pickled, unless it holds a lambda or a local function.
 
     Attributes:
         f: the erosion rate per unit grain flux, dimensionless, for q > -1.
@@ -74,6 +75,23 @@ class ErosionLaw:
     closed_inverse: Function | None = None
     eta0: float = 0.0
     content: str | None = None
+
+    def __call__(self, q: Any) -> Array:
+        """Return f(q) for a number or an array; -∞ or NaN unless q > -1. Raise InputError for other types."""
+        at = as_numbers(q)
+        if at is None:
+            raise InputError(f"q = {shown(q)} must be a number or an array of numbers")
+        with np.errstate(all="ignore"):
+            return np.asarray(self.f(at), dtype=float)[()]
+
+    def __repr__(self) -> str:
+        return as_call(self.table, "law", "erosion_law") if self.table else "ErosionLaw(...)"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        if self.content == "":
+            return _from_table, (dict(self.table),)
+        fields = self.f, self.derivative, dict(self.table), self.closed_inverse, self.eta0, self.content
+        return type(self), fields
 
     @property
     def grows_linearly(self) -> bool:
@@ -282,9 +300,9 @@ def expression(expression: str, growth: str | None = None) -> ErosionLaw:
 
 
 @_law("python", file=TEXT, function=TEXT, growth=TEXT)
-def from_file(file: str | Path, function: str, growth: str | None = None, base: Path | None = None) -> ErosionLaw:
+def from_file(file: str | Path, function: str, growth: str | None = None) -> ErosionLaw:
     """Return a law from the function of that name in a Python file, which is run; `growth` as in `erosion_law`."""
-    loaded = load_function(located(base or Path(), file), function)
+    loaded = load_function(located(folder_of(file), file), function)
     return replace(erosion_law(loaded.function, growth=growth), content=loaded.content)
 
 
@@ -317,12 +335,20 @@ def erosion_law(
         if not (callable(function) or (function is None and role != "f")):
             raise InputError(f"{role} = {shown(function)} must be a function of one number or array")
     vectorised = over_arrays(f, PROBE)
-    slope = over_arrays(derivative, PROBE) if derivative is not None else differentiate(vectorised)
+    slope = over_arrays(derivative, PROBE) if derivative is not None else Differentiated(vectorised)
     origin = {"file": getattr(f, "__module__", None) or "", "function": getattr(f, "__name__", "f"), "growth": growth}
     return ErosionLaw(
         f=vectorised,
         derivative=slope,
         table=table_of(from_file, origin),
-        closed_inverse=inverse and on_copies(inverse),
+        closed_inverse=inverse and OnCopies(inverse),
         eta0=check_assumptions(vectorised, slope, growth == LINEAR),
     )
+
+
+def _from_table(table: Mapping[str, Any]) -> ErosionLaw:
+    """Return the law of a table that holds everything."""
+    laws: tuple[Any, ...] = rational, log, power, expression
+    makers = {maker.choice.name: maker for maker in laws}
+    found: ErosionLaw = makers[table["law"]](**{key: value for key, value in table.items() if key != "law"})
+    return found

@@ -14,21 +14,25 @@ from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid, grid_from, start_of
 from hjprofile.problem.kinds import TEXT
 from hjprofile.problem.lists import numbers, same_length
-from hjprofile.problem.paths import located
+from hjprofile.problem.paths import folder_of, located
 from hjprofile.problem.profile_base import TAIL, Profile, kind
 from hjprofile.problem.profiles import Points, steps
 from hjprofile.problem.ranges import Array, shown
 from hjprofile.problem.schema import table_of
-from hjprofile.problem.user_code import evaluating, load_function, values_at
+from hjprofile.problem.user_code import evaluating, load_function, sendable, values_at
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Given(Profile):
     """A profile u(x) from a Python function; u_x = 1 (q = 0) left of the grid."""
 
     u: Callable[[Any], Any]
     source: Mapping[str, Any] = field(default_factory=dict)
     content: str | None = None  # a hash of the file that holds u
+
+    def __getstate__(self) -> dict[str, Any]:
+        sendable(self.u)
+        return dict(vars(self))
 
     def start(self, tail: float = TAIL) -> float:
         return np.nan  # unknown; `check` tests the first cell
@@ -101,7 +105,7 @@ def _polyline(x: Any, u: Any) -> Profile:
 
 
 @kind("python", file=TEXT, function=TEXT)
-def from_file(file: str | Path, function: str, base: Path | None = None) -> Profile:
+def from_file(file: str | Path, function: str) -> Profile:
     """Return a profile from the function of that name in a Python file, which is run."""
-    loaded = load_function(located(base or Path(), file), function)
+    loaded = load_function(located(folder_of(file), file), function)
     return Given(loaded.function, content=loaded.content)

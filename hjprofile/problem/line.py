@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -10,8 +12,60 @@ from hjprofile.errors import InputError
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.given import Given
 from hjprofile.problem.profiles import TAIL, Bumps, Kinks, Points, Profile, Steady
+from hjprofile.problem.ranges import Array
 
 ABOUT = "the-whole-line"  # heading of the page on errors
+
+
+class Transformed(Profile):
+    """A profile of a class of the user, stretched by `factor`, then shifted by `distance`."""
+
+    def __init__(self, profile: Profile, factor: float = 1.0, distance: float = 0.0):
+        self.profile, self.factor, self.distance = profile, factor, distance
+        self.units, self.account, self.surveyed = profile.units, profile.account, profile.surveyed
+        self.rounding = profile.rounding
+
+    @property
+    def table(self) -> Mapping[str, Any]:
+        return self.profile.table
+
+    @property
+    def inflow(self) -> float:
+        return self.profile.inflow / self.factor
+
+    def _own(self, law: ErosionLaw) -> ErosionLaw:
+        """Return the law in the units of the profile: a stretched problem has the law f / factor (§13)."""
+        if self.factor == 1.0 or law is None:
+            return law
+        inverse, factor = law.closed_inverse, self.factor
+        return replace(
+            law,
+            f=lambda q: factor * law.f(q),
+            derivative=lambda q: factor * law.derivative(q),
+            closed_inverse=None if inverse is None else lambda y: inverse(np.asarray(y) / factor),
+            eta0=factor * law.eta0,
+        )
+
+    def _place(self, x: Array) -> Array:
+        return (x - self.distance) / self.factor
+
+    def W(self, x: Array, law: ErosionLaw) -> Array:
+        return self.profile.W(self._place(x), self._own(law)) * self.factor
+
+    def excess(self, x: Array, law: ErosionLaw) -> Array | None:
+        return self.profile.excess(self._place(x), self._own(law))
+
+    def start(self, tail: float = TAIL) -> float:
+        return self.profile.start(tail) * self.factor + self.distance
+
+    def breaks(self, law: ErosionLaw) -> Array:
+        found = np.array(self.profile.breaks(self._own(law)))
+        found[:, 0] = found[:, 0] * self.factor + self.distance
+        return found
+
+    def marks(self) -> Array | None:
+        marks = self.profile.marks()
+        return None if marks is None else marks * self.factor + self.distance
 
 
 def moved(profile: Profile, distance: float) -> Profile:
@@ -25,6 +79,8 @@ def moved(profile: Profile, distance: float) -> Profile:
             return replace(profile, x=profile.x + distance)
         case Given():
             return replace(profile, u=lambda x: profile.u(x - distance) + distance)
+        case Profile() if not isinstance(profile, Steady):
+            return Transformed(profile, distance=distance)
     raise InputError(f"kind = {profile.table['kind']!r} is for the half line only; leave line = 'whole' out", ABOUT)
 
 
@@ -40,8 +96,9 @@ def stretched(profile: Profile, factor: float) -> Profile:
         case Steady():
             kink = None if profile.kink is None else profile.kink * factor
             return replace(profile, flux=profile.flux / factor, kink=kink)
-    assert isinstance(profile, Given)
-    return replace(profile, u=lambda x: profile.u(x / factor) * factor)
+        case Given():
+            return replace(profile, u=lambda x: profile.u(x / factor) * factor)
+    return Transformed(profile, factor=factor)
 
 
 def tail(profile: Profile, right: float, law: ErosionLaw) -> float:
@@ -54,7 +111,7 @@ def tail(profile: Profile, right: float, law: ErosionLaw) -> float:
     if isinstance(profile, Bumps):
         high = replace(profile, amplitudes=np.abs(profile.amplitudes))
         beyond = float(max(np.diff(high.W(np.array([right, np.inf]), law))[0], high.excess(np.array(right))))
-    elif isinstance(profile, Given):
+    elif not isinstance(profile, Points):
         near = right + 1e-6 * np.array([-1.0, 0.0])
         beyond = float(np.abs(np.diff(profile.W(near, law))[0])) / 1e-6
     else:

@@ -10,6 +10,24 @@ from hjprofile.errors import InputError, did_you_mean
 UNREADABLE = "a-file-that-cannot-be-read"  # heading of the page on errors
 
 
+class InCase(str):
+    """A path that a case file in `folder` names."""
+
+    folder: Path
+
+    @classmethod
+    def of(cls, file: str, folder: Path) -> InCase:
+        """Return the path `file` in a case file in `folder`."""
+        path = cls(file)
+        path.folder = folder
+        return path
+
+
+def folder_of(file: object) -> Path:
+    """Return the folder to which a path is relative: that of its case file, or the current one."""
+    return file.folder if isinstance(file, InCase) else Path()
+
+
 def located(base: Path, file: str | Path) -> Path:
     """Return the path of a file that a case names, relative to the folder `base`; ~ is the home folder."""
     path = Path(file)

@@ -17,7 +17,7 @@ from hjprofile.errors import InputError
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid, grid_from
 from hjprofile.problem.ranges import Array
-from hjprofile.problem.schema import Choice, choice
+from hjprofile.problem.schema import Choice, as_call, choice
 from hjprofile.problem.units import SurveyLine, Units
 
 TAIL = 1e-6  # largest mass and slope that a grid may truncate on the left; the error of a method on a grid is larger
@@ -26,6 +26,20 @@ kind = partial(choice, into="source")  # a decorator that declares the maker of 
 
 class Profile:
     """An initial profile; a subclass defines `W` and the left end of the support.
+
+    `check` runs before a solver starts, and raises InputError if the slope does not rise or does not fit the grid.
+
+    >>> import numpy as np
+    >>> import hjprofile as hj
+    >>> class Ramp(hj.Profile):
+    ...     def W(self, x, law):
+    ...         return np.clip(x, -3.0, -2.0)  # q = 1 on (-3, -2)
+    ...     def start(self, tail=1e-6):
+    ...         return -3.0
+    ...     def breaks(self, law):
+    ...         return np.array([[-3.0, 0.0, 1.0], [-2.0, 1.0, 0.0]])
+    >>> hj.track_fronts(hj.Problem(hj.rational(), Ramp(), end=0.5)).status
+    'done'
 
     Attributes:
         source: the `[profile]` table of a function that made this profile; empty if the class computes the table.
@@ -46,7 +60,24 @@ class Profile:
     @property
     def table(self) -> Mapping[str, Any]:
         """The `[profile]` table of a case file that makes this profile again."""
-        return self.source or self.choice.table(vars(self))
+        if self.source:
+            return self.source
+        own = getattr(self, "choice", None)
+        if own is None:  # a class of a user, which is in no case file
+            return {"kind": "python", "file": type(self).__module__, "function": type(self).__qualname__}
+        found: Mapping[str, Any] = own.table(vars(self))
+        return found
+
+    def __repr__(self) -> str:
+        known = self.source or hasattr(self, "choice")
+        return as_call(self.table, "kind", "profile") if known else f"{type(self).__qualname__}()"
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        """Take the state from another process, where arrays are writable."""
+        self.__dict__.update(state)
+        for value in state.values():
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
 
     @property
     def inflow(self) -> float:

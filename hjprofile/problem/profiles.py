@@ -21,7 +21,7 @@ GAUSS = np.polynomial.legendre.leggauss(16)
 
 
 @kind("kinks", positions=LIST, amplitudes=LIST)
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Kinks(Profile):
     """A profile of kinks: q jumps up to amplitudes[j] at positions[j] and decays by R'(q) q_x = -q (§13); 0 on
     the left.
@@ -88,7 +88,7 @@ class Kinks(Profile):
 
 
 @kind("bumps", amplitudes=LIST, centres=LIST, widths=LIST)
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Bumps(Profile):
     """A profile of Gaussian bumps, q = Σ a exp(-((x - c)/w)²)."""
 
@@ -137,7 +137,7 @@ class Bumps(Profile):
 
 
 @kind("points", x=LIST, q=LIST)
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Points(Profile):
     """A piecewise linear profile of q between points (x, q), with a jump at a repeated x, and q = 0 outside."""
 
@@ -201,7 +201,7 @@ class Points(Profile):
 
 
 @kind("steady", flux=NUMBER, kink=NUMBER)
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Steady(Profile):
     """The steady slope q = f⁻¹(a/(1 - a x)), whose flux is a everywhere, right of a kink at s0 (§5e-f).
 

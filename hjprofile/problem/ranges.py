@@ -16,6 +16,7 @@ Array = np.ndarray
 
 SAME_TIME = 1e-9  # relative to the span of a run: times that are closer differ by rounding only
 LONGEST_SHOWN = 400  # characters of a value in a message
+MOST_LISTED, LONGEST_BRIEF = 6, 60  # numbers of a list, and characters of a value, in a repr
 
 
 class Range(NamedTuple):
@@ -100,6 +101,12 @@ def whole(name: str, value: Any, least: int, most: int | None = None) -> int:
     return int(value)
 
 
+def as_index(name: str, value: Any, count: int) -> int:
+    """Return the index from 0 on of one of `count` items, of which -1 is the last. Raise InputError for others."""
+    found = whole(name, value, -count, count - 1)
+    return found % count
+
+
 def instance(name: str, value: Any, kind: type) -> None:
     """Raise InputError if the value of that name is of another type."""
     if not isinstance(value, kind):
@@ -119,6 +126,20 @@ def shown(value: Any) -> str:
         if len(text := repr(plain(value))) <= LONGEST_SHOWN and "\n" not in text:
             return text
     return "(too long to be shown)"
+
+
+def brief(value: Any) -> str:
+    """Return the text of a value for `repr`; a long list by its ends and its length."""
+    value = plain(value)
+    if isinstance(value, list) and len(value) > MOST_LISTED:
+        return f"[{brief(value[0])}, ..., {brief(value[-1])} ({len(value)} numbers)]"
+    if isinstance(value, list):
+        return f"[{', '.join(map(brief, value))}]"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, str) and len(value) > LONGEST_BRIEF:
+        return repr(value[:LONGEST_BRIEF] + "...")
+    return repr(value)
 
 
 def plain(value: Any) -> Any:

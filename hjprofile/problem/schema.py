@@ -12,10 +12,12 @@ from typing import Any, TypeVar
 
 from hjprofile.errors import InputError, did_you_mean, nearest
 from hjprofile.problem.kinds import Kind, is_number
-from hjprofile.problem.ranges import shown
+from hjprofile.problem.paths import InCase
+from hjprofile.problem.ranges import brief, shown
 
 Maker = TypeVar("Maker", bound=Callable[..., Any])
 REQUIRED: Any = inspect.Parameter.empty  # the default of a key that has none
+PATHS = {"file", "result"}  # keys that hold paths, relative to the case file
 SECTIONS = "erosion", "layer", "profile", "coefficient", "domain", "time", "solver", "output"
 ABOUT = {  # section -> heading of the page on errors
     "erosion": "an-erosion-law",
@@ -150,17 +152,12 @@ class Table:
 
 @dataclass(frozen=True)
 class Choice:
-    """A law, profile or coefficient by its name in a case file: its keys, and the function that makes it from them.
-
-    Attributes:
-        based: True if that function reads files, and takes the folder `base` to which their paths are relative.
-    """
+    """A law, profile or coefficient by its name in a case file: its keys, and the function that makes it from them."""
 
     name: str
     keys: tuple[Key, ...]
     chooser: str = "kind"
     make: Callable[..., Any] = dict
-    based: bool = False
 
     def table(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Return the section of a resolved case with these values."""
@@ -191,7 +188,7 @@ def choice(name: str, chooser: str = "kind", into: str = "table", **kinds: Kind)
             return replace(found, **{into: maker.choice.table(bound)})
 
         maker: Any = make if isinstance(make, type) else made
-        maker.choice = Choice(name, keys, chooser, maker, "base" in arguments)
+        maker.choice = Choice(name, keys, chooser, maker)
         return maker
 
     return declared
@@ -200,6 +197,17 @@ def choice(name: str, chooser: str = "kind", into: str = "table", **kinds: Kind)
 def table_of(make: Any, values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the section of a resolved case for a maker that `choice` has declared, with these values."""
     return make.choice.table(values)
+
+
+def as_call(table: Mapping[str, Any], chooser: str, of_function: str) -> str:
+    """Return the table of a choice as a call with short arguments, for `repr`.
+
+    `of_function` is the name of the public function that takes a Python function, of which the table has the name.
+    """
+    if "function" in table:
+        return f"{of_function}({table['function']})"
+    values = (f"{key}={brief(value)}" for key, value in table.items() if key != chooser)
+    return f"{table[chooser]}({', '.join(values)})"
 
 
 class Choices:
@@ -224,8 +232,11 @@ class Choices:
         if not table.sound:
             return None
         chosen = self.choices[values.pop(self.chooser.name)]
+        for key in PATHS & values.keys():
+            if isinstance(values[key], str):
+                values[key] = InCase.of(values[key], base)
         with table.noting():
-            return chosen.make(**values, **({"base": base} if chosen.based else {}))
+            return chosen.make(**values)
         return None
 
     def table(self, values: Mapping[str, Any]) -> dict[str, Any]:

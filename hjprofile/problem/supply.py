@@ -22,7 +22,7 @@ PROBE = np.array([0.0, 0.25, 0.5])  # t at which a function is tried with an arr
 GAUSS = np.polynomial.legendre.leggauss(4)  # for the mean of 1/ε over a time step, exact to order 8
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class SupplyFlux:
     """A supply flux ε that depends on the supplied mass t.
 
@@ -41,6 +41,14 @@ class SupplyFlux:
     function: Callable[[Any], Any]
     table: Mapping[str, Any]
     content: str | None = ""
+
+    def __repr__(self) -> str:
+        return str(self)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        if self.content == "" and "supply_flux" in self.table:
+            return supply_flux, ("supply_flux", self.table["supply_flux"])
+        return type(self), (self.function, self.table, self.content)
 
     def values(self, t: Any) -> Array:
         """Return ε at supplied masses t, an array of any shape.

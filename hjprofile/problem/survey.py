@@ -13,7 +13,7 @@ from hjprofile.errors import InputError
 from hjprofile.problem.flank import Flank, one_flank, resampled, rising
 from hjprofile.problem.heights import rounding_of, scatter_of
 from hjprofile.problem.kinds import COLUMNS, LIST, NUMBER, NUMBERS, POSITIVE, TEXT, Kind
-from hjprofile.problem.paths import located
+from hjprofile.problem.paths import folder_of, located
 from hjprofile.problem.profile_base import Profile, kind
 from hjprofile.problem.profiles import Points
 from hjprofile.problem.ranges import RANGES, Array, as_path, number, shown
@@ -67,7 +67,7 @@ Reading = TypedDict(
 @np.errstate(all="ignore")  # numbers out of range become inf or NaN, which the checks reject
 def survey(
     file: str | Path | None = None, critical_slope: float = REQUIRED, length: float = REQUIRED,
-    repair: str | None = None, base: Path | None = None, *, x: Sequence[float] | None = None,
+    repair: str | None = None, *, x: Sequence[float] | None = None,
     height: Sequence[float] | None = None, **reading: Unpack[Reading],
 ) -> Profile:  # fmt: skip
     """Return the profile of a surveyed slope, linear between its points, with the neutral slope below its toe.
@@ -81,7 +81,6 @@ def survey(
             by `critical_slope`.
         repair: "isotonic" replaces a survey that falls by the nearest heights (least squares) that rise everywhere by
             at least 0.05 of the critical slope; None rejects such a survey.
-        base: the folder to which `file` is relative.
         x, height: the points as arrays, shape (n,), n >= 2, in the place of a file; NaN is a missing height.
         reading: `columns`: names, or numbers from 1 on, of the columns of x and height, or of x, y and height.
             `nodata`: a number or numbers that stand for a missing height. `unit`: name of the unit of length, for
@@ -111,7 +110,7 @@ def survey(
             raise InputError(f"{key} is missing; it must be {RANGES[key].words}", ABOUT)
     critical_slope, length = number("critical_slope", critical_slope, ABOUT), number("length", length, ABOUT)
     _check_options(repair, reading)
-    name, points = _points(file, x, height, base, reading)
+    name, points = _points(file, x, height, reading)
     flank = one_flank(name, points, reading.get("uphill"), reading.get("from"), reading.get("to"))
     _check_units(flank, critical_slope)
     spacing = reading.get("resample")
@@ -216,11 +215,11 @@ def read_survey(
     """
     reading: Reading = {"columns": columns, "nodata": nodata}
     _check_options(None, reading)
-    points = _points(file, None, None, None, reading)[1]
+    points = _points(file, None, None, reading)[1]
     return points.x, points.height, points.rows
 
 
-def _points(file: Any, x: Any, height: Any, base: Path | None, reading: Reading) -> tuple[str, Measured]:
+def _points(file: Any, x: Any, height: Any, reading: Reading) -> tuple[str, Measured]:
     """Return the points of a file or of two arrays, and their name in messages. Raises InputError."""
     unit, missing = reading.get("unit"), reading.get("nodata")
     nodata = np.atleast_1d(np.array([] if missing is None else missing, dtype=float))
@@ -230,7 +229,7 @@ def _points(file: Any, x: Any, height: Any, base: Path | None, reading: Reading)
         raise InputError("a survey needs either a file, or x and height", ABOUT)
     if file is None:
         return "the survey", from_arrays(x, height, nodata, unit or "")
-    path = located(base or Path(), as_path("file", file))
+    path = located(folder_of(file), as_path("file", file))
     name = f"file = {str(path)!r}"
     points = read_points(path, reading.get("columns"), nodata)
     stated, found = unit_named(unit or ""), unit_named(points.unit)

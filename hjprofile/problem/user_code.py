@@ -5,9 +5,11 @@ from __future__ import annotations
 import ast
 import hashlib
 import importlib.util
+import pickle
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import update_wrapper
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +23,67 @@ Function = Callable[..., Any]
 
 ABOUT = "a-python-file"  # heading of the page on errors
 _imported: dict[Path, bytes] = {}  # module next to a file that was run -> its bytes when it was imported
+
+
+class Sendable:
+    """A function of one or more arrays that can be sent to another process if the function `f` in it can."""
+
+    def __init__(self, f: Function):
+        self.f = f
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (sendable(self.f),)
+
+
+class OnCopies(Sendable):
+    """A function applied to copies of its arguments, so that it may write into them."""
+
+    def __call__(self, *arrays: Any) -> Any:
+        return self.f(*(np.array(array, dtype=float) for array in arrays))
+
+
+class Looped(Sendable):
+    """A function of single numbers, applied to arrays in a loop."""
+
+    def __call__(self, *arrays: Any) -> Any:
+        return np.vectorize(self.f, otypes=[float])(*arrays)
+
+
+class FromFile(Sendable):
+    """A function from a Python file, which another process loads again."""
+
+    def __init__(self, f: Function, path: Path, name: str, content: str):
+        update_wrapper(self, f)  # first, because it copies attributes of f
+        super().__init__(f)
+        self._origin = str(path.resolve()), name, content
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.f(*arguments)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _loaded_again, self._origin
+
+
+def _loaded_again(path: str, name: str, content: str) -> Function:
+    """Return the function of that name in a file. Raise InputError if the file has changed."""
+    loaded = load_function(Path(path), name)
+    if loaded.content != content:
+        raise InputError(f"file = {path!r} has changed since {name!r} was loaded; load the case again", ABOUT)
+    return loaded.function
+
+
+def sendable(f: Function) -> Function:
+    """Return a function that can be sent to another process. Raise PicklingError for a lambda or a local function."""
+    if not isinstance(f, Sendable):
+        try:
+            pickle.dumps(f)
+        except Exception as error:  # a callable object of a user may raise any exception
+            name = getattr(f, "__qualname__", type(f).__name__)
+            raise pickle.PicklingError(
+                f"the function {name!r} cannot be pickled, because it has no name in a module; define it with def "
+                "outside of other functions, or give an expression as text"
+            ) from error
+    return f
 
 
 class Loaded(NamedTuple):
@@ -50,7 +113,7 @@ def load_function(path: Path, function: str) -> Loaded:
     f = getattr(module, function, None)
     if not callable(f):
         raise InputError(f"function = {function!r} is not defined in {path.name}", ABOUT)
-    return Loaded(f, content)
+    return Loaded(FromFile(f, path, function, content), content)
 
 
 @contextmanager
@@ -77,17 +140,11 @@ def maps_arrays(f: Function, *probe: Array) -> bool:
         return False
 
 
-def on_copies(f: Function) -> Function:
-    """Return f applied to copies of its arguments, so that it may write into them."""
-    return lambda *arrays: f(*(np.array(array, dtype=float) for array in arrays))
-
-
 def over_arrays(f: Function, *probe: Array) -> Function:
     """Return a function of arrays: f itself, on copies, if it maps the probe, else a loop over it."""
     if maps_arrays(f, *probe):
-        return on_copies(f)
-    looped = np.vectorize(f, otypes=[float])
-    return lambda *arrays: looped(*arrays)
+        return OnCopies(f)
+    return Looped(f)
 
 
 def values_at(f: Function, x: Array) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 
 from hjprofile.errors import InputError, did_you_mean
 from hjprofile.problem import Problem
-from hjprofile.problem.case import DEFAULT_CFL
+from hjprofile.problem.case_keys import DEFAULT_CFL
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.ranges import shown
 from hjprofile.solvers.characteristics.shock_fitting import COARSEST, FINEST, solve_characteristics

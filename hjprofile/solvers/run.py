@@ -13,10 +13,12 @@ import numpy as np
 import hjprofile
 from hjprofile.problem.case import law_from, to_toml
 from hjprofile.problem.erosion import ErosionLaw
-from hjprofile.problem.ranges import read_only
+from hjprofile.problem.ranges import as_index, read_only
 from hjprofile.problem.units import SurveyLine, Units
 from hjprofile.solvers.norms import Limit, Norms, States, limits, norms
+from hjprofile.solvers.run_repr import as_html, as_text
 from hjprofile.solvers.run_tables import FIELDS, Field, dataset, table
+from hjprofile.solvers.states import SavedStates
 from hjprofile.solvers.stop import ROBUST_METHOD, Place, Reason, Stop, Time
 
 if TYPE_CHECKING:
@@ -174,9 +176,11 @@ class Verdict(NamedTuple):
         )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Run:
+@dataclass(frozen=True, eq=False, repr=False)
+class Run(SavedStates):
     """A solution on a grid at the saved times. Its arrays are read-only; copies are writable.
+
+    A run can be pickled, and is equal to itself only; `compare` measures the distance of two runs.
 
     x is in exchange lengths, u in exchange lengths times the critical slope, t in supplied mass.
 
@@ -190,7 +194,8 @@ class Run:
         q: cell means of u_x - 1, shape (times, cells).
         status: "done", or a sentence with time, position, reason and remedy if the run stopped. The last saved time is
             then the last good state.
-        stop: the reason of `status` as a record; None if the run reached its end or was read from a file.
+        stop: the reason of `status` as a record; None if the run reached its end or was read from a file. A run that a
+            callback stopped is done, and `stop` is the reason.
         steps, step_range: number of time steps, smallest and largest step.
         wall_seconds: of the time stepping alone, without compilation, monitoring and output.
         kinks, events: the kinks at the saved times; births, merges and exits.
@@ -244,15 +249,30 @@ class Run:
     law: ErosionLaw | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        if self.stop is not None:
+        if self.stop is not None and self.stop.reason is not Reason.CALLBACK:
             object.__setattr__(self, "status", str(self.stop))
+        self._protect_arrays()
+
+    def _protect_arrays(self) -> None:
         for name in FIELDS:
             object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    def __repr__(self) -> str:
+        return as_text(self)
+
+    def _repr_html_(self) -> str:
+        """Return a table for notebooks."""
+        return as_html(self)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state for another process: a law is a function, which cannot be sent."""
         state = self.__dict__ | {"norms": self.norms, "norm_limits": self.norm_limits, "law": None}
         return {name: value for name, value in state.items() if name != "_known_law"}
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        """Take the state from another process, where arrays are writable."""
+        self.__dict__.update(state)
+        self._protect_arrays()
 
     @cached_property
     def norms(self) -> Norms:
@@ -272,10 +292,8 @@ class Run:
 
     @property
     def _states(self) -> States:
-        profile = self.case.get("profile", {})
-        inflow = profile.get("kind") == "steady" and "kink" not in profile
         dx = float(np.ptp(self.x)) / self.cells
-        return States(self.time, dx, self.u - self.x, self.q, self.K, inflow)
+        return States(self.time, dx, self.u - self.x, self.q, self.K, self._inflow)
 
     @property
     def done(self) -> bool:
@@ -382,8 +400,10 @@ class Run:
 
     def kinks_at(self, index: int) -> list[KinkRecord]:
         """Return the kinks at the saved time `self.time[index]`, from left to right."""
-        return [k for k in self.kinks if k.time == self.time[index]]
+        t = self.time[as_index("index", index, len(self.time))]
+        return [k for k in self.kinks if k.time == t]
 
     def steps_at(self, index: int) -> list[VerticalStep]:
         """Return the vertical steps at the saved time `self.time[index]`, from left to right."""
-        return [s for s in self.vertical_steps or () if s.time == self.time[index]]
+        t = self.time[as_index("index", index, len(self.time))]
+        return [s for s in self.vertical_steps or () if s.time == t]

@@ -23,6 +23,7 @@ from hjprofile.solvers.method import Feature, requirements
 from hjprofile.solvers.methods import METHODS, by_characteristics, by_fronts, on_grid
 from hjprofile.solvers.run import Run
 from hjprofile.solvers.select import EXACT_FRONTS_ERROR, FRONT_STEP, READ_FRONTS, TABLE_STEP, usual_work
+from hjprofile.solvers.stop import Reason
 
 CELL_STEP = 5e-9  # measured seconds of a time step of one cell, with monitors: 2e-9 to 2e-8
 # Measured seconds for one front of the data, some 300 values of the law; the second for a law of single numbers
@@ -77,7 +78,8 @@ def with_stated_error(run: Run, case: Case) -> Run:
     but none of its totals.
     """
     problem, reached = case.problem, run.stop is None
-    if not reached:
+    if run.stop is not None:
+        reached = run.stop.reason is Reason.CALLBACK  # at a saved time, with the totals of that time
         problem = replace(problem, end=float(run.time[-1]), snapshots=run.time.tolist())
     search = _Search(run, case, problem)
     stated = search.own_errors() if run.error_estimate is not None else search.errors()

@@ -26,6 +26,7 @@ class Reason(Enum):
     BAD_COEFFICIENT = auto()
     BAD_SUPPLY = auto()
     NO_METHOD = auto()
+    CALLBACK = auto()  # a request of the user: the run is done
 
 
 class Time(float):

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hjprofile.errors import InputError, RunError, by_last_part, did_you_mean
-from hjprofile.problem.case import Case, load_case, resolved_case
+from hjprofile.problem.case import AnyCase, Case, load_case, resolved_case
 from hjprofile.problem.heights import HIGHEST, without_height
 from hjprofile.problem.lists import as_numbers
 from hjprofile.problem.paths import located
@@ -104,11 +104,12 @@ class Calibration:
 class _Model:
     """Heights after, as a function of the logarithms z of the parameters relative to their starting values."""
 
-    def __init__(self, path: str | Path, vary: Sequence[str]):
-        self.path, self.names = path, plain(vary)
+    def __init__(self, case: AnyCase, vary: Sequence[str]):
+        self.case, self.names = case, plain(vary)
         if not isinstance(self.names, list) or not all(isinstance(name, str) for name in self.names):
             raise InputError(f'vary = {shown(vary)} must be a list of keys, as in ["time.end"]')
-        self.first = load_case(path)
+        self.first = load_case(case)
+        self.path = case if isinstance(case, str | Path) else self.first.source  # for messages
         self.table = _resolved(self.first)
         offered = {
             f"{section}.{key}": value
@@ -125,12 +126,13 @@ class _Model:
                 if "," in name:
                     hint = " (--vary once for each);"
                 raise InputError(
-                    f"{path}: {name} cannot be varied{hint} the positive numbers of this case are {', '.join(offered)}"
+                    f"{self.path}: {name} cannot be varied{hint} the positive numbers of this case are "
+                    f"{', '.join(offered)}"
                 )
         if not self.names or len(set(self.names)) < len(self.names):
-            raise InputError(f"{path}: a fit needs at least one parameter, and each of them only once")
+            raise InputError(f"{self.path}: a fit needs at least one parameter, and each of them only once")
         taken = METHODS["fronts"].supports - {Feature.WHOLE_LINE}
-        require(f"{path}: a fit, made by fronts,", taken, requirements(self.first.problem, self.first.refresh))
+        require(f"{self.path}: a fit, made by fronts,", taken, requirements(self.first.problem, self.first.refresh))
         self.start = np.array([offered[name] for name in self.names])
         self.surveyed = units is not None
         self.units = units or Units(1.0, 1.0, 0.0, 0.0)
@@ -152,7 +154,7 @@ class _Model:
         if end is not None:
             changed.pop(SUPPLIED, None)
             changed["time.end"] = end
-        case = load_case(self.path, changed)
+        case = load_case(self.case, changed)
         units = case.problem.profile.units or self.units
         place = np.clip(units.place(x), case.grid.left, 0.0)
         return units.height(heights_at_end(case.problem, case.grid.left, place, fronts or FRONTS))
@@ -191,7 +193,7 @@ class _Model:
 
     def fitted(self, z: Array) -> dict[str, Any]:
         """Return the resolved case with the fitted values; saved times retain their fractions of the end."""
-        table = _resolved(load_case(self.path, self.overrides(z)))
+        table = _resolved(load_case(self.case, self.overrides(z)))
         snapshots, end = self.table["time"]["snapshots"], self.table["time"]["end"]
         if isinstance(snapshots, list):
             snapshots = [t / end * table["time"]["end"] for t in snapshots]
@@ -207,10 +209,11 @@ def _resolved(case: Case) -> dict[str, Any]:
     return resolved_case(case.problem, case.grid, case.method, case.cfl, case.tolerance, case.refresh)
 
 
-def fit(case: str | Path, x: Array, height: Array, vary: Sequence[str], sigma: float | None = None) -> Calibration:
+def fit(case: AnyCase, x: Array, height: Array, vary: Sequence[str], sigma: float | None = None) -> Calibration:
     """Fit parameters of a case so that its profile at `time.end` matches the surveyed points (x, height).
 
-    - `case`: a path or the name of a shipped case; its own profile is the survey before.
+    - `case`: a path, the name of a shipped case, the tables of a case file, or a `Case`; its own profile is the survey
+      before.
     - `x`, `height`: positions, increasing, and heights of the survey after, shape (points,). They are in the survey's
       units if the profile is a survey, else dimensionless.
     - `vary`: dotted keys of positive numbers of the sections [erosion], [profile] and [time], as in
@@ -249,7 +252,7 @@ def fit(case: str | Path, x: Array, height: Array, vary: Sequence[str], sigma: f
     if found.status < 1:
         reached = ", ".join(f"{n} = {v:.6g}" for n, v in zip(model.names, values, strict=True))
         raise RunError(
-            f"{case}: the fit does not converge in {MOST_STEPS} steps; it has reached {reached}; start nearer to "
+            f"{model.path}: the fit does not converge in {MOST_STEPS} steps; it has reached {reached}; start nearer to "
             "the solution, or vary fewer parameters"
         )
 

@@ -12,14 +12,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from hjprofile.errors import InputError, RunError
 from hjprofile.problem import Problem
-from hjprofile.problem.case import Case, load_case
+from hjprofile.problem.case import AnyCase, Case, as_case
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.model import LinearGrowth, Prescribed
 from hjprofile.problem.profiles import bumps
@@ -57,10 +56,10 @@ SMOOTH_END, SMOOTH_CELLS = 0.5, (200, 400, 800)
 Runs = dict[tuple[str, int], Run]
 
 
-def check(case: Case | str | Path, progress: Callable[[float], None] | None = None) -> Consistency:
+def check(case: AnyCase, progress: Callable[[float], None] | None = None) -> Consistency:
     """Run the consistency test of a case: the Hamilton-Jacobi equation against the conservation law.
 
-    - `case`: a `Case`, the path of a case file, or the name of a shipped case.
+    - `case`: a `Case`, the path of a case file, the name of a shipped case, or the tables of a case file.
     - `progress`: a function that is called with the completed fraction in [0, 1].
 
     Return a `Consistency`, which is true unless a comparison fails. Raise InputError for invalid input, and RunError if
@@ -70,7 +69,7 @@ def check(case: Case | str | Path, progress: Callable[[float], None] | None = No
     >>> hj.check("travelling_kink").verdict  # doctest: +SKIP
     'passes'
     """
-    case = case if isinstance(case, Case) else load_case(case)
+    case = as_case(case)
     comparisons = check_consistency(case.problem, case.grid, case.cfl, progress, case.refresh, case.method)
     return Consistency(case.name, case.problem.title, comparisons, _remedy(case))
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from hjprofile.errors import InputError, RunError
 from hjprofile.problem import Problem
-from hjprofile.problem.case import DEFAULT_CFL
+from hjprofile.problem.case_keys import DEFAULT_CFL
 from hjprofile.problem.coefficient import Coefficient, tabulated
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.given import profile

@@ -16,7 +16,7 @@ import numpy as np
 
 from hjprofile.errors import RunError
 from hjprofile.problem import Problem
-from hjprofile.problem.case import DEFAULT_CFL
+from hjprofile.problem.case_keys import DEFAULT_CFL
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.methods import METHODS

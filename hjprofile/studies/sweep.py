@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hjprofile.errors import InputError, RunError, by_last_part, did_you_mean
-from hjprofile.problem.case import Case, parse_case, with_values
-from hjprofile.problem.case_files import find_case, read_case
+from hjprofile.problem.case import AnyCase, Case, Source, parse_case, source_of
+from hjprofile.problem.case_keys import with_values
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.identity import digest_of
 from hjprofile.problem.ranges import as_number
@@ -101,14 +101,14 @@ class Outcome(NamedTuple):
         return self.status == "done"
 
 
-def members(case: str | Path, vary: Mapping[str, list[Any]]) -> list[Member]:
+def members(case: AnyCase, vary: Mapping[str, list[Any]]) -> list[Member]:
     """Return a member for each choice of values, the last key varying fastest; each is built and checked.
 
     Raise InputError for a key that cannot be varied, and for a value that no member can use. A member with incompatible
     values is returned with the reason in `refused`.
     """
-    path = find_case(case)
-    content = read_case(path)
+    found = source_of(case)
+    content = found.content
     if not vary:
         raise InputError("a sweep varies at least one key of the case, as in erosion.m=0.5,1,2")
     for key, values in vary.items():
@@ -128,7 +128,7 @@ def members(case: str | Path, vary: Mapping[str, list[Any]]) -> list[Member]:
     usable, refused = [set[int]() for _ in vary], [dict[int, str]() for _ in vary]
     for places in product(*(range(len(values)) for values in vary.values())):
         chosen = [values[i] for values, i in zip(vary.values(), places, strict=True)]
-        made.append(_member(path, content, dict(zip(vary, chosen, strict=True))))
+        made.append(_member(found, dict(zip(vary, chosen, strict=True))))
         for used, why, i in zip(usable, refused, places, strict=True):
             if made[-1].refused:
                 why.setdefault(i, made[-1].refused)
@@ -151,13 +151,14 @@ def text_of(value: Any) -> str:
     return json.dumps(int(value) if number else value)
 
 
-def _member(path: Path, content: Mapping[str, Any], values: Mapping[str, Any]) -> Member:
+def _member(source: Source, values: Mapping[str, Any]) -> Member:
     """Return the member with these values, with the reason if it is rejected."""
-    moved = _same_ground(content, values)
-    tables = with_values(content, dict(values) | {f"domain.{name}": end for name, end in moved.items()})
-    member = Member(tuple(values.values()), tables, path.stem, str(path), path.resolve().parent, moved=tuple(moved))
+    moved = _same_ground(source.content, values)
+    tables = with_values(source.content, dict(values) | {f"domain.{name}": end for name, end in moved.items()})
+    base = source.base.resolve()
+    member = Member(tuple(values.values()), tables, source.name, source.source, base, moved=tuple(moved))
     try:
-        case = parse_case(tables, path.stem, str(path), member.base)
+        case = parse_case(tables, member.name, member.source, base)
         check_case(case)
     except InputError as error:
         return member._replace(refused="; ".join(map(str, error.faults)))

@@ -23,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 from truths import AGREE, TOLERANCES, VERDICTS, Worker, known_truth, scene, study
 
 import hjprofile as hj
+from hjprofile.solvers.methods import by_characteristics
 
 CHARACTERISTICS = 1e-4, 1e-6, 1e-8, 1e-10, 1e-12
 FIRST_FRONTS, MOST_FRONTS = 32, 25600
@@ -100,7 +101,7 @@ def cost_of_choices(seed, tolerances, exact):
         if np.isfinite(fronts[-1][1]) and (fronts[-1][1] > longest or fronts[-1][2] <= min(tolerances)):
             break
         n *= 2
-    lines = [(e, *tried(lambda: hj.solve_characteristics(problem, grid, e, patience=longest))) for e in CHARACTERISTICS]  # noqa: B023
+    lines = [(e, *tried(lambda: by_characteristics(problem, grid, e, patience=longest))) for e in CHARACTERISTICS]  # noqa: B023
     found = {}
     for tolerance in tolerances:
         choices = []

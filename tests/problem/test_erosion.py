@@ -207,8 +207,8 @@ def test_any_function_of_q_may_be_a_law(tmp_path):
     assert np.array_equal(given_all.inverse(q), np.expm1(q))
 
     (tmp_path / "law.py").write_text("import math\ndef f(q):\n    return math.log(1 + q)\n")
-    law = from_file("law.py", "f", base=tmp_path)
-    assert law.table == {"law": "python", "file": "law.py", "function": "f"}
+    law = from_file(tmp_path / "law.py", "f")
+    assert law.table == {"law": "python", "file": str(tmp_path / "law.py"), "function": "f"}
     np.testing.assert_allclose(law.f(q), np.log1p(q), rtol=1e-13)
 
 

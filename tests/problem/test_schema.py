@@ -14,8 +14,9 @@ from test_case import same
 
 from hjprofile.cli import main
 from hjprofile.errors import InputError
-from hjprofile.problem.case import COEFFICIENTS, LAWS, PROFILES, load_case, parse_case, resolved_case, to_toml
+from hjprofile.problem.case import load_case, parse_case, resolved_case, to_toml
 from hjprofile.problem.case_files import shipped_cases
+from hjprofile.problem.case_keys import COEFFICIENTS, LAWS, PROFILES
 
 FOUR = {  # an unknown key, a misspelt name, a wrong type, a missing key
     "title": "Four faults",

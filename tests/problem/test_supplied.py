@@ -7,7 +7,8 @@ import pytest
 import tomli_w
 
 import hjprofile as hj
-from hjprofile.problem.case import parse_case, resolved_case, with_values
+from hjprofile.problem.case import parse_case, resolved_case
+from hjprofile.problem.case_keys import with_values
 from hjprofile.problem.identity import digest_of
 from hjprofile.problem.units import Units
 from hjprofile.studies.sweep import members

@@ -29,7 +29,7 @@ ROWS = [(10.0, 3.0), (25.0, 9.0), (31.0, 9.5), (70.0, 41.0), (85.0, 55.5)]
 
 def test_a_survey_is_scaled_and_there_is_a_way_back(tmp_path):
     length, critical = 12.0, 0.6
-    slope = survey("survey.csv", critical, length, base=write(tmp_path, ROWS).parent)
+    slope = survey(write(tmp_path, ROWS), critical, length)
     x, height = np.array(ROWS).T
     grid = Grid(left=-9.0, cells=90)
     slope.check(grid, rational())
@@ -124,7 +124,7 @@ def test_a_rising_survey_needs_no_repair(tmp_path):
 )
 def test_surveys_that_are_no_files(tmp_path, name, words):
     with pytest.raises(InputError, match=words) as refused:
-        survey(name, 0.5, 1.0, base=tmp_path)
+        survey(tmp_path / name, 0.5, 1.0)
     assert "file = " in str(refused.value)
 
 

@@ -100,7 +100,8 @@ def test_an_unknown_name_is_met_with_the_nearest():
 def test_a_flux_is_named_where_it_is_written_and_in_its_row():
     """Its twin, its row, and the method that sentences recommend: the kernel has a type of that name."""
     library = Path(hj.__file__).parent
-    spelled = [path.name for path in sorted(library.rglob("*.py")) if "godunov" in path.read_text(encoding="utf-8")]
+    code = {path.name: re.sub(r'""".*?"""', "", path.read_text("utf-8"), flags=re.S) for path in library.rglob("*.py")}
+    spelled = sorted(name for name, text in code.items() if "godunov" in text)
     assert spelled == ["conservation.py", "methods.py", "stop.py"]
 
 

@@ -13,6 +13,7 @@ import hjprofile as hj
 from hjprofile.problem.case import Case
 from hjprofile.solvers import stated_error
 from hjprofile.solvers.closed_forms import kink_into_steady_slope, travelling_kink, travelling_wave
+from hjprofile.solvers.methods import by_characteristics
 from hjprofile.solvers.stated_error import UNKNOWN, Errors, _Search, with_stated_error
 
 LOW, HIGH = 0.5, 30.0  # of the estimate, relative to the true error
@@ -59,7 +60,7 @@ def scene(*seed, cells):
     problem = random_scene(np.random.default_rng([SEEDS, *seed]))
     grid = grid_of(problem, cells)
     try:
-        run = hj.solve_characteristics(problem, grid, 1e-10, patience=1.0)
+        run = by_characteristics(problem, grid, 1e-10, patience=1.0)
         if run.done:
             return problem, grid, run.u, run.error_estimate
     except (hj.RunError, hj.InputError):

@@ -17,6 +17,7 @@ import numpy as np
 from random_scenes import twin, twin_grid, unusual_scene
 
 import hjprofile as hj
+from hjprofile.solvers.methods import by_characteristics
 
 TOLERANCES = 1e-2, 1e-3, 1e-5, 1e-7, 1e-9
 AGREE = 0.1  # part of a tolerance within which two methods have to agree
@@ -87,7 +88,7 @@ def truth(problem, grid, seconds=10.0, method_of=None):
 def _by_characteristics(problem, grid, seconds):
     for tolerance in (1e-12, 1e-10):
         try:
-            run = hj.solve_characteristics(problem, grid, tolerance, patience=seconds)
+            run = by_characteristics(problem, grid, tolerance, patience=seconds)
         except (hj.RunError, ArithmeticError, ValueError):
             continue
         if run.done and np.isfinite(run.u).all():

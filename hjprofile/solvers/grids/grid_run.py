@@ -15,6 +15,7 @@ from hjprofile.solvers.grids.kink_tracker import KinkTracker
 from hjprofile.solvers.grids.march import NOBODY, march
 from hjprofile.solvers.method import Method
 from hjprofile.solvers.run import Keeper, Monitor, Run
+from hjprofile.solvers.states import Callback
 
 Progress = Callable[[float], None]
 
@@ -22,8 +23,12 @@ Progress = Callable[[float], None]
 def solve_on_grid(
     problem: Problem, grid: Grid, method: Method, cfl: float, progress: Progress | None,
     strict: bool = False, keeper: Keeper | None = None, refresh: float | None = None, identity: Mapping = NOBODY,
+    callback: Callback | None = None,
 ) -> Run:  # fmt: skip
-    """Run a method on a grid, with monitors; `identity` distinguishes the checkpoints of the run from others."""
+    """Run a method on a grid, with monitors and a callback of the user.
+
+    `identity` distinguishes the checkpoints of the run from others.
+    """
     cfl, setup = number("cfl", cfl), method.setup_for(problem)
     scheme = setup.scheme(problem, grid, refresh)
     bounds = BoundsMonitor(problem, grid, scheme.W, setup.guarantees, method.flux, strict, scheme.factor.refresh)
@@ -32,7 +37,7 @@ def solve_on_grid(
     tracker = KinkTracker(problem.law, grid, least=problem.profile.rounding, **hidden)
     watching: dict[str, Monitor] = {"bounds": bounds, "kinks": tracker, **(extension.monitors if extension else {})}
     case = resolved_case(problem, grid, method.name, cfl, refresh=scheme.factor.refresh)
-    record = march(scheme, problem, grid, cfl, watching, progress, tracker.kinks_changed, keeper, identity)
+    record = march(scheme, problem, grid, cfl, watching, progress, tracker.kinks_changed, keeper, identity, callback)
     kinks, events = tracker.result(record.times)
     u = record.W
     u += grid.nodes

@@ -22,6 +22,7 @@ from hjprofile.solvers.grids.factor import NOTHING
 from hjprofile.solvers.grids.recording import Recorder, Recording, recall, remember
 from hjprofile.solvers.grids.scheme import MOST_STEPS, Scheme
 from hjprofile.solvers.run import Array, Breakdown, Halt, Keeper, Monitor, State
+from hjprofile.solvers.states import Callback
 from hjprofile.solvers.stop import ROBUST_METHOD, Place, Reason, Stop, Stopped, Time
 
 STEP_FLOOR = 1e-9  # smallest time step as a fraction of the end of the run: shorter ones would take days
@@ -109,10 +110,12 @@ class _Batch(NamedTuple):
 class March:
     """One run of a scheme: choose a step, advance a batch, check it, roll back or accept, notify, store."""
 
-    def __init__(self, scheme: Scheme, problem: Problem, grid: Grid, cfl: float, watchers: _Watchers):
+    def __init__(
+        self, scheme: Scheme, problem: Problem, grid: Grid, cfl: float, watchers: _Watchers, callback: Callback | None
+    ):  # fmt: skip
         self.scheme, self.problem, self.grid, self.cfl, self.watchers = scheme, problem, grid, cfl, watchers
         self.factor = scheme.factor
-        self.recorder, self.pace = Recorder(problem.kept, grid), _Pace()
+        self.recorder, self.pace = Recorder(problem.kept, grid, callback), _Pace()
         self.targets, self.refresh_times = _targets(problem, self.factor.refresh)
         self.close_leap = max(6, int(grid.cells * CLOSE_MOTION))
         self.longest_leap = min(MOST_STEPS, max(1, int(grid.cells * LARGEST_MOTION)), self.factor.steps)
@@ -152,7 +155,8 @@ class March:
         pace = self.pace
         try:
             for target in self.targets[self.targets > pace.t].tolist():
-                self._go_to(target, kinks_changed, keeper)
+                if self.recorder.stop is None:
+                    self._go_to(target, kinks_changed, keeper)
         except Breakdown as broken:
             self._roll_back()
             pace.speed = self.scheme.evaluate()
@@ -164,7 +168,7 @@ class March:
         except _StepTooSmall:
             self.scheme.evaluate()
             return _too_small_a_step(self)
-        return None
+        return self.recorder.stop
 
     def last_good_state(self) -> None:
         """Store and show the state at which the run stopped."""
@@ -280,21 +284,22 @@ class March:
         """Save the current state as a row of the result."""
         self.pace.speed = max(self.pace.speed, self.scheme.evaluate())
         self.recorder.save(self.pace.t, self.scheme)
+        self.recorder.show()
 
 
 def march(
     scheme: Scheme, problem: Problem, grid: Grid, cfl: float,
     monitors: Mapping[str, Monitor] = NOBODY, progress: Callable[[float], None] | None = None,
     kinks_changed: Callable[[State], bool] = lambda state: False,
-    keeper: Keeper | None = None, identity: Mapping[str, Any] = NOBODY,
+    keeper: Keeper | None = None, identity: Mapping[str, Any] = NOBODY, callback: Callback | None = None,
 ) -> Recording:  # fmt: skip
     """Run `scheme` to the end of the problem; call `progress` with the completed fraction.
 
     If `kinks_changed` returns True for a new state, the steps since the last state are repeated in small batches. A
-    keeper stores checkpoints, and the run continues from the stored one with the same `identity`. Raise RunError if the
-    run cannot start, or if it was interrupted.
+    keeper stores checkpoints, and the run continues from the stored one with the same `identity`. The callback observes
+    each saved state, and may stop the run. Raise RunError if the run cannot start, or if it was interrupted.
     """
-    one = March(scheme, problem, grid, cfl, _Watchers(monitors, progress))
+    one = March(scheme, problem, grid, cfl, _Watchers(monitors, progress), callback)
     one.start()
     with keeper or nullcontext():
         if keeper and (stored := keeper.recall(identity)):

@@ -10,6 +10,7 @@ import numpy as np
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.grids.scheme import Scheme
 from hjprofile.solvers.run import Array
+from hjprofile.solvers.states import Callback, Snapshot, stopped_by
 from hjprofile.solvers.stop import Stop
 
 
@@ -27,11 +28,13 @@ class Recording(NamedTuple):
 
 
 class Recorder:
-    """Rows of t, W, q and K at the saved times."""
+    """Rows of t, W, q and K at the saved times; `stop` is the reason if the callback asks for the end of the run."""
 
     checkpoint_fields: tuple[str, ...] = ("saved_rows",)
 
-    def __init__(self, times: int, grid: Grid):
+    def __init__(self, times: int, grid: Grid, callback: Callback | None = None):
+        self.grid, self.callback = grid, callback
+        self.stop: Stop | None = None
         self.columns = [
             np.empty((times, *shape)) for shape in ((), (grid.cells + 1,), (grid.cells,), (grid.cells + 1,))
         ]
@@ -43,6 +46,13 @@ class Recorder:
                 self.columns[i] = np.concatenate([self.columns[i], [value]])
             self.columns[i][self.rows] = value
         self.rows += 1
+
+    def show(self) -> None:
+        """Show the last row to the callback."""
+        if self.callback:
+            t, W, q, K = (column[self.rows - 1] for column in self.columns)
+            state = Snapshot(float(t), self.grid.nodes, self.grid.centres, self.grid.nodes + W, q, K)
+            self.stop = stopped_by(self.callback, state)
 
     @property
     def saved_rows(self) -> Array:
