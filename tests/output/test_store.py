@@ -22,8 +22,8 @@ from scipy.io import netcdf_file
 import hjprofile
 from hjprofile.errors import InputError
 from hjprofile.files import write_whole
-from hjprofile.output.folder import RECORD, Owner, ResultFolder
-from hjprofile.output.store import load_run, summary, to_json, write_run
+from hjprofile.output.folder import RECORD, Owner, ResultFolder, owner_of_run
+from hjprofile.output.store import load_run, summary, to_json, write_results, write_run
 from hjprofile.problem.case import parse_case
 from hjprofile.problem.units import Units
 from hjprofile.solvers.solve import solve_case
@@ -442,7 +442,8 @@ class LostHelper:
 def test_pictures_are_drawn_even_if_the_helper_is_lost(tmp_path, at_once):
     problem = hjprofile.Problem(hjprofile.rational(), hjprofile.kinks([-1.0], [0.5]), end=0.1, snapshots=2)
     run = hjprofile.solve_hj(problem, hjprofile.Grid(-2.0, 50))
-    files = hjprofile.write_run(run, tmp_path, vtk=False, helper=LostHelper(at_once))
+    place = ResultFolder(tmp_path, owner_of_run(run.case)).open()
+    _, files = write_results(run, place, vtk=False, plots=True, helper=LostHelper(at_once))
     assert {tmp_path / "profile.png", tmp_path / "diagram.png"} <= set(files)
 
 
