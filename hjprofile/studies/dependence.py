@@ -29,6 +29,7 @@ from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.given import profile
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.ranges import instance
+from hjprofile.problem.schema import with_origin
 from hjprofile.solvers.method import Feature, require, requirements
 from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.run import Array, Breakdown, Halt, Run
@@ -268,7 +269,7 @@ class _Study:
         given = self.problem.coefficient or tabulated(self.base.time, self.base.x, self.base.K)
         waves = [self.waves() for _ in range(WAVES)]
         for member, (part, wave) in enumerate(product(PARTS, waves), start=1):
-            disturbed = replace(given, function=_times(given.function, part, wave), steady=False, content=None)
+            disturbed = with_origin(given, function=_times(given.function, part, wave), steady=False, content=None)
             pair = (replace(self.problem, coefficient=k) for k in (given, disturbed))
             first, other = self.solve(*pair)
             yield self.rows("coefficient", member, first, other, part)

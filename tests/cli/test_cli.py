@@ -26,7 +26,7 @@ from hjprofile.output.store import load_run
 from hjprofile.problem.case import load_case
 from hjprofile.problem.case_files import shipped_cases
 from hjprofile.solvers.methods import METHODS
-from hjprofile.solvers.solve import solve_case
+from hjprofile.solvers.solve import solve_and_keep, solve_case
 from hjprofile.studies import dependence, statement_table, statements
 from hjprofile.studies import stability as study
 from hjprofile.studies.chart import Point, Reference
@@ -288,8 +288,8 @@ def test_a_resumed_run_says_so(folder, call):
     case = load_case("bare.toml")
     keeper = Checkpoint(Path("results/bare"), 1e9, resume=False)
     with pytest.raises(hjprofile.RunError, match="interrupted at t ="):
-        solve_case(
-            case, lambda fraction: fraction < 0.5 or keeper.asked or os.kill(os.getpid(), signal.SIGTERM), keeper=keeper
+        solve_and_keep(
+            case, keeper, lambda fraction: fraction < 0.5 or keeper.asked or os.kill(os.getpid(), signal.SIGTERM)
         )
     code, out, _ = call("run", "bare.toml", "--resume")
     assert code == 0 and "  resumed     from the checkpoint at t = " in out
@@ -392,7 +392,7 @@ def test_what_stops_a_run_from_outside(folder, call, monkeypatch, raised, words)
     def stopped(*_):
         raise raised
 
-    monkeypatch.setattr("hjprofile.solvers.solve.solve_case", stopped)
+    monkeypatch.setattr("hjprofile.solvers.solve.solve_and_keep", stopped)
     code, out, err = call("run", "scene.toml")
     assert (code, out, err.count("\n")) == (1, "", 1) and words in err
     assert not contents("results")

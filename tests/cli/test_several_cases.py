@@ -98,7 +98,7 @@ def test_an_interruption_stops_all(cases, call, monkeypatch):
     def interrupted(*_):
         raise hj.RunError("interrupted at t = 1", "interrupted")
 
-    monkeypatch.setattr("hjprofile.solvers.solve.solve_case", interrupted)
+    monkeypatch.setattr("hjprofile.solvers.solve.solve_and_keep", interrupted)
     code, out, err = call("run", "a.toml", "b.toml")
     assert (code, out, err.count("\n")) == (1, "", 1) and "interrupted at t = 1" in err
 
@@ -173,7 +173,7 @@ def test_a_quiet_command_prints_failures_only(cases, call):
 
 
 def test_validate_reports_all_faults_of_all_files(cases, call, monkeypatch):
-    monkeypatch.setattr("hjprofile.solvers.solve.solve_case", None)
+    monkeypatch.setattr("hjprofile.solvers.solve.solve_and_keep", None)
     write_case("unfit", solver={"method": "auto"})
     code, out, err = call("validate", *cases, "unfit.toml")
     assert code == 2 and [line.split(":")[0] for line in out.splitlines()] == ["a.toml", "stops.toml", "b.toml"]

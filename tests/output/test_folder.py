@@ -124,7 +124,7 @@ def test_a_run_that_does_not_start_leaves_the_older_one(in_tmp, call, monkeypatc
         raise KeyboardInterrupt
 
     write_case("case.toml", time={"end": 0.15, "snapshots": 2})
-    monkeypatch.setattr("hjprofile.solvers.solve.solve_case", stopped)
+    monkeypatch.setattr("hjprofile.solvers.solve.solve_and_keep", stopped)
     assert call("run", "case.toml")[0] == 1
     assert names("results/case") == before and hj.load_run("results/case").time[-1] == 0.1
 
