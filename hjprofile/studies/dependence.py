@@ -85,11 +85,13 @@ class Dependence:
     """Results of the study.
 
     Attributes:
+        case: the name of the problem.
         rows: the distances, by pair and time.
         found: a sentence on each study.
         violated: a sentence on a distance that exceeds its bound, or "".
     """
 
+    case: str
     rows: tuple[Distance, ...]
     found: tuple[str, ...]
     violated: str
@@ -131,9 +133,10 @@ def dependence(
     """
     instance("problem", problem, Problem)
     instance("name", name, str)
-    rows = distances_of(name or problem.title or "the problem", problem, grid, progress)
+    case = name or problem.title or "the problem"
+    rows = distances_of(case, problem, grid, progress)
     found, violated = summary(rows)
-    return Dependence(tuple(rows), tuple(found), violated)
+    return Dependence(case, tuple(rows), tuple(found), violated)
 
 
 def distances_of(

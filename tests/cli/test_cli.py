@@ -19,7 +19,6 @@ from grid_methods import TWINS, with_fault
 
 import hjprofile
 from hjprofile.cli.common import Progress, app
-from hjprofile.cli.studies import _point
 from hjprofile.output.checkpoint import NAME, Checkpoint
 from hjprofile.output.run_account import run_account, with_error
 from hjprofile.output.store import load_run
@@ -29,7 +28,7 @@ from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.solve import solve_and_keep, solve_case
 from hjprofile.studies import dependence, statement_table, statements
 from hjprofile.studies import stability as study
-from hjprofile.studies.chart import Point, Reference
+from hjprofile.studies.chart import Chart, Point, Reference
 
 SCENE = {
     "title": "Zwei Knicke",
@@ -549,4 +548,4 @@ def test_an_error_equal_to_that_of_the_reference_is_marked():
     """Errors of numpy compare to numpy's booleans."""
     point = Point("case", "fronts", 100, np.float64(1e-12), np.float64(2e-9), 0.1, 10)
     reference = Reference("characteristics", np.float64(1e-12), np.float64(1e-10), lambda grid: None)
-    assert "  2.0e-09 of q  <1.0e-12 of u" in _point(point, reference).replace("100 ", "")
+    assert "  2.0e-09 of q  <1.0e-12 of u" in str(Chart("case", (point,), reference)).replace("100 ", "")

@@ -107,14 +107,14 @@ def test_an_interruption_stops_all(cases, call, monkeypatch):
 def test_other_failures_stop_only_their_case(cases, call, monkeypatch, error):
     from hjprofile.solvers import solve
 
-    honest = solve.solve_case
+    honest = solve.solve_and_keep
 
     def failing(case, *more):
         if case.name == "a":
             raise error
         return honest(case, *more)
 
-    monkeypatch.setattr(solve, "solve_case", failing)
+    monkeypatch.setattr(solve, "solve_and_keep", failing)
     code, out, err = call("run", "a.toml", "b.toml")
     assert (code, err.count("\n")) == (1, 1) and out.strip().startswith("B\n")
 
