@@ -347,7 +347,7 @@ def test_check_passes(folder, call):
     (case,) = content["cases"]
     assert (case["case"], case["title"], case["passes"], content["passes"]) == ("short", "Kurz", True, True)
     lines = out.splitlines()
-    assert lines[0] == "short: passes" and lines[-1] == "written to results/short/check.json"
+    assert lines[0] == "short: passes" and lines[-1] == "written to results/short: check.json"
     kinds = {"bounds", "identity", "independence", "kinks", "budget", "characteristics", "order"}
     kinds |= {f"saved-{what}" for what in ("times", "q", "K", "kinks", "events", "crest_lowering", "volume")}
     assert {c["name"].split(":")[0] for c in case["comparisons"]} == kinds

@@ -10,6 +10,7 @@ import hjprofile as hj
 from hjprofile.errors import InputError
 from hjprofile.output.checkpoint import NAME
 from hjprofile.output.folder import RECORD, Owner, ResultFolder, owner_of
+from hjprofile.studies.verdict import Consistency
 
 CASE = {
     "title": "A kink",
@@ -36,12 +37,7 @@ def names(folder):
 @pytest.fixture
 def stand_ins(monkeypatch):
     """Studies that take no time: their files are at stake here."""
-    verdict = type(
-        "Verdict",
-        (),
-        {"case": "case", "passes": True, "verdict": "passes", "report": dict, "__str__": lambda self: "passes"},
-    )
-    monkeypatch.setattr("hjprofile.studies.consistency.check", lambda case, progress: verdict())
+    monkeypatch.setattr("hjprofile.studies.consistency.check", lambda case, progress: Consistency("case", "Case", ()))
     monkeypatch.setattr("hjprofile.output.workers.processes", lambda count: __import__("contextlib").nullcontext())
 
 
