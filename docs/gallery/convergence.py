@@ -42,9 +42,9 @@ for title, problem in problems.items():
         errors[title, method], orders[title, method] = found, order
 
 # %%
-# On the smooth slope the orders are 1, 2 and 4. The method ``weno5`` is of fifth order in
-# space and of fourth order in time, and the error in time dominates here. With a kink every
-# method on a fixed grid is of first order, because the kink lies inside a cell.
+# On the smooth slope the orders are close to 1, 2 and 4. The method ``weno5`` reconstructs q
+# to fifth order, but most of its error here is in the five cells at the crest. With a kink
+# every method on a fixed grid is of first order, because the kink lies inside a cell.
 
 fig, axes = plt.subplots(1, 2, figsize=(8, 4), layout="constrained")
 for ax, title in zip(axes, problems, strict=True):
