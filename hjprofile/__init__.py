@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from hjprofile.solvers.solve import solve_hj as solve_hj
     from hjprofile.solvers.solve import solve_inverse as solve_inverse
     from hjprofile.solvers.solve import track_fronts as track_fronts
+    from hjprofile.solvers.states import Snapshot as Snapshot
     from hjprofile.studies.accuracy import Comparison as Comparison
     from hjprofile.studies.accuracy import compare as compare
     from hjprofile.studies.accuracy import observed_order as observed_order
@@ -111,6 +112,7 @@ _MODULES = {
     "solvers.criteria": ("until_eroded", "until_kinks", "until_steady"),
     "solvers.method_table": ("methods",),
     "solvers.run": ("Run",),
+    "solvers.states": ("Snapshot",),
     "solvers.solve": (
         "solve", "solve_case", "solve_characteristics", "solve_conservative", "solve_hj", "solve_inverse",
         "track_fronts",

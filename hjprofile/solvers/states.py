@@ -29,6 +29,11 @@ class Snapshot:
         q: cell means of u_x - 1, shape (cells,).
         K: grain flux on the nodes, relative to the supply.
         kinks: positions of the kinks, from left to right; None between saved times.
+
+    >>> import hjprofile as hj
+    >>> problem = hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0)
+    >>> hj.track_fronts(problem, hj.Grid(-5.0, 100)).at(0.0)
+    Snapshot at t = 0: 100 cells on [-5, 0]
     """
 
     t: float
