@@ -4,7 +4,9 @@ import json
 import re
 import sys
 import tomllib
+from importlib.machinery import ModuleSpec
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 import tomli_w
@@ -289,11 +291,12 @@ def test_a_notebook_has_a_bar(in_tmp, monkeypatch, capsys, recwarn, installed):
     """If it has widgets, which rich needs; else lines, and no warning."""
     monkeypatch.setitem(sys.modules, "ipykernel", sys)
     monkeypatch.setattr("rich.console.Console", Notebook)
-    if installed:
-        Path("IPython").mkdir()
-        Path("IPython/display.py").write_text("def display(*_, **__): pass\n")
-        Path("ipywidgets.py").write_text(WIDGETS)
-        monkeypatch.syspath_prepend(str(in_tmp))
+    shell = {name: ModuleType(name) for name in ("IPython", "IPython.display", "ipywidgets")}
+    shell["IPython.display"].display = lambda *_, **__: None
+    exec(WIDGETS, vars(shell["ipywidgets"]))
+    for name, module in shell.items():  # in the place of those that may be installed
+        module.__spec__ = ModuleSpec(name, None)
+        monkeypatch.setitem(sys.modules, name, module if installed else None)
     with Progress("solving", solves=False) as progress:
         progress.started -= 100.0
         progress.last_line -= 100.0
@@ -302,8 +305,6 @@ def test_a_notebook_has_a_bar(in_tmp, monkeypatch, capsys, recwarn, installed):
     assert not recwarn.list
     if installed:
         assert sys.modules["ipywidgets"].Output.shown
-        for name in ("ipywidgets", "IPython", "IPython.display"):
-            del sys.modules[name]
     assert ("solving: 50% after 100 s" in capsys.readouterr().err) != installed
 
 
