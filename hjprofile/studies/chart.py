@@ -22,14 +22,18 @@ from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.run import Array, Run
 from hjprofile.solvers.solve import solve_characteristics, solve_inverse, solve_with, track_fronts
 
-# Neighbouring grids, not doubled ones, because an error varies with the position of a kink in its cell
-CELLS = tuple(int(n) for n in np.geomspace(250, 8000, 12).round())
+# Neighbouring grids, not doubled ones, because an error varies with the position of a kink in its cell. All of them are
+# coarsenings of one grid, on which the reference is evaluated once.
+FINEST = 25200
+CELLS = tuple(FINEST // n for n in (200, 144, 100, 72, 50, 36, 25, 18, 12, 9, 6, 4, 3))
 FRONTS = 100, 200, 400, 800, 1600, 3200
 TOLERANCES = 1e-7, 1e-9, 1e-11
 REFERENCE_FRONTS = 12800
 STEEP_REFERENCE_FRONTS = 3200  # under a law of linear growth, where a front costs ten times as much
 REPEATS = 3
-LONGEST_RUN = 0.3  # seconds of a run above which finer runs of its method are omitted
+REPEATED = 0.05  # seconds of a run above which it is not repeated, unless it was disturbed
+FINER_WORK, DISTURBED = 2.0, 1.5  # usual ratio of the seconds of neighbouring runs; ratio to them of a disturbed run
+LONGEST_RUN = 0.15  # seconds of a run above which finer runs of its method are omitted
 U_ROUNDING = 4.0 * float(np.finfo(float).eps)  # of u - x of order 1 at a node
 INTEGRATED = 1e-12  # error of solutions integrated to 1e-13: exact fronts; closed forms, except for the rational law
 NOTHING = 1e-12  # |q| of a slope that is neutral to rounding
@@ -121,10 +125,11 @@ class Chart:
 
 
 def chart(case: AnyCase, progress: Callable[[float], None] | None = None) -> Chart:
-    """Run every method at several resolutions on a case; each point has the median seconds of three runs.
+    """Run every method at several resolutions on a case, and measure its error and its seconds.
 
-    Seconds are those of the time stepping alone, without compilation and output. Errors are sup|u - u_exact| and
-    ∫|q - q_exact| dx, the largest of all saved times. Methods that break down at a resolution are omitted there.
+    Seconds are those of the time stepping alone, without compilation and output: the median of three runs, or those of
+    one run above 0.05 s. Errors are sup|u - u_exact| and ∫|q - q_exact| dx, the largest of all saved times. Methods
+    that break down at a resolution are omitted there.
 
     Args:
         case: a `Case`, the path of a case file, the name of a shipped case, or the tables of a case file.
@@ -160,7 +165,7 @@ def chart_of(
     if not later.any():
         raise InputError(f"{case}: no time after 0 is saved; a chart measures errors at the saved times")
     reference = _reference(problem, grid)
-    known = {grid.cells: reference.at(grid)}
+    known = _Known(reference, grid)
     if not np.abs(known[grid.cells][1][later]).max() > max(reference.error_q, NOTHING):
         raise InputError(
             f"{case}: the slope is neutral from the first measurement on, at t = {problem.times[later][0]:.6g}, "
@@ -169,15 +174,14 @@ def chart_of(
     points: list[Point] = []
     plan = list(_plan(problem, grid, cfl))
     for i, (method, ladder) in enumerate(plan):
+        expected = 0.0  # seconds, by those of the coarser run; the first run also loads compiled loops
         for cells, once in ladder:
             try:
-                runs = [once() for _ in range(REPEATS)]
+                run, seconds = _timed(once, expected)
             except RunError:
                 continue
-            run, seconds = runs[0], float(np.median([r.wall_seconds for r in runs]))
+            expected = seconds * FINER_WORK
             if run.done:
-                if run.cells not in known:
-                    known[run.cells] = reference.at(replace(grid, cells=run.cells))
                 u, q = known[run.cells]
                 u_sup = max(float(np.abs(run.u - u).max()), reference.error)
                 q_l1 = max(_distance(run.q, q, replace(grid, cells=run.cells)), reference.error_q)
@@ -189,6 +193,33 @@ def chart_of(
     if not points:
         raise RunError(f"{case}: no method reaches the end; `hjprofile run {case}` reports the reason")
     return Chart(case, tuple(points), reference)
+
+
+def _timed(once: Callable[[], Run], expected: float) -> tuple[Run, float]:
+    """Return a run and its seconds. A short run is repeated, and one that something else on the machine slowed."""
+    run = once()
+    seconds = [run.wall_seconds]
+    while len(seconds) < REPEATS and (seconds[0] <= REPEATED or min(seconds) > DISTURBED * expected):
+        seconds.append(once().wall_seconds)
+    return run, float(np.median(seconds)) if seconds[0] <= REPEATED else min(seconds)
+
+
+class _Known:
+    """The reference on grids: u and q by the number of cells, from one evaluation on FINEST cells where that nests."""
+
+    def __init__(self, reference: Reference, grid: Grid):
+        self.reference, self.grid = reference, grid
+        self.values: dict[int, tuple[Array, Array]] = {}
+
+    def __getitem__(self, cells: int) -> tuple[Array, Array]:
+        if cells not in self.values:
+            every = FINEST // cells
+            if cells < FINEST and every * cells == FINEST:
+                u, q = self[FINEST]
+                self.values[cells] = u[:, ::every], q.reshape(len(q), cells, every).mean(axis=2)
+            else:
+                self.values[cells] = self.reference.at(replace(self.grid, cells=cells))
+        return self.values[cells]
 
 
 Ladder = Sequence[tuple[int, Callable[[], Run]]]
@@ -235,7 +266,7 @@ def _reference(problem: Problem, grid: Grid) -> Reference:
                 error_q = max(run.error_estimate, SAFETY * _distance(run.q, coarser.q, grid)) + rounding
 
                 def by_characteristics(g: Grid) -> tuple[Array, Array]:
-                    read = solve_characteristics(problem, g, finest)
+                    read = run if g == grid else solve_characteristics(problem, g, finest)
                     return read.u, read.q
 
                 return Reference("characteristics", run.error_estimate, error_q, by_characteristics)
@@ -248,7 +279,7 @@ def _reference(problem: Problem, grid: Grid) -> Reference:
     error_q = max(_distance(run.q, coarser.q, grid), error)
 
     def by_fronts(g: Grid) -> tuple[Array, Array]:
-        read = track_fronts(problem, g, fronts)
+        read = run if g == grid else track_fronts(problem, g, fronts)
         return read.u, read.q
 
     return Reference(f"{fronts} fronts", error, error_q, by_fronts)

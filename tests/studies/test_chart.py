@@ -24,6 +24,8 @@ SMOOTH = hj.Problem(hj.log(), hj.bumps([0.5], [-2.0], [0.3]), end=0.2)
 @pytest.fixture(autouse=True)
 def few_and_coarse(monkeypatch):
     monkeypatch.setattr(charts, "CELLS", (60, 120, 240))
+    monkeypatch.setattr(charts, "FINEST", 480)
+    monkeypatch.setattr(charts, "LONGEST_RUN", np.inf)  # the machine may be slow
     monkeypatch.setattr(charts, "FRONTS", (50, 100))
     monkeypatch.setattr(charts, "TOLERANCES", (1e-7, 1e-10))
     monkeypatch.setattr(charts, "REPEATS", 1)  # more make the seconds better, and nothing else
@@ -163,3 +165,38 @@ def test_command(tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit) as ended:
         cli.main(["chart"])
     assert ended.value.code == 2 and "chart needs at least one CASE" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("problem", [KINK, SMOOTH, replace(KINK, profile=hj.steady(0.4))])
+def test_the_reference_on_coarser_grids_is_that_of_the_finest(problem):
+    """Every kth node, and means of k cells, are those of a grid with k times fewer cells."""
+    grid = hj.Grid(-4.0, 50)
+    reference = charts._reference(problem, grid)
+    known = charts._Known(reference, grid)
+    for cells in (50, 60, 120, 240, 480):  # 50 is no divisor of 480
+        u, q = known[cells]
+        own_u, own_q = reference.at(replace(grid, cells=cells))
+        assert np.abs(u - own_u).max() <= 1e-10 and np.abs(q - own_q).max() <= 1e-8  # rounding of differences
+
+
+def test_seconds_of_a_run_that_was_disturbed(monkeypatch):
+    """It is repeated, and the others count; a long run that took what its size suggests is not."""
+
+    def timed(expected, *seconds):
+        left = list(seconds)
+        run = type("Run", (), {})
+
+        def once():
+            made = run()
+            made.wall_seconds = left.pop(0)
+            return made
+
+        _, found = charts._timed(once, expected)
+        return found, len(seconds) - len(left)
+
+    monkeypatch.setattr(charts, "REPEATS", 3)
+    assert timed(0.1, 0.12, 9.0, 9.0) == (0.12, 1)
+    assert timed(0.1, 0.4, 0.11, 9.0) == (0.11, 2)
+    assert timed(0.1, 0.4, 0.3, 0.2) == (0.2, 3)
+    assert timed(0.0, 2.0, 0.3, 0.2) == (0.2, 3)  # the first run, which loads compiled loops
+    assert timed(0.01, 0.01, 0.03, 0.02) == (0.02, 3)
