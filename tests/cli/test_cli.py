@@ -244,13 +244,21 @@ def test_dependence_writes_its_table_and_picture(folder, call, monkeypatch):
     assert code == 1 and "times its bound" in err
 
 
+def once(function):
+    """A function that returns its first value at every call."""
+    values = []
+
+    def first(*arguments):
+        if not values:
+            values.append(function(*arguments))
+        return values[0]
+
+    return first
+
+
 def test_statements_writes_its_tables_and_pictures(folder, call, monkeypatch):
-    computed = {}
     for part in ("evolve", "freeze", "follow"):  # once for both calls
-        honest = getattr(statements, part)
-        monkeypatch.setattr(
-            statements, part, lambda *case, name=part, f=honest: computed.get(name) or computed.setdefault(name, f(*case))
-        )
+        monkeypatch.setattr(statements, part, once(getattr(statements, part)))
     code, out, err = call("statements", "bare.toml")
     assert (code, err) == (0, "")
     lines = out.splitlines()

@@ -22,11 +22,6 @@ ON_CHARACTERISTICS = list(along.WORDS)
 
 
 @pytest.fixture(scope="module")
-def bumps():
-    return hj.statements(BUMPS, GRID)
-
-
-@pytest.fixture(scope="module")
 def history():
     return runs.evolve(BUMPS, GRID)
 
@@ -34,6 +29,14 @@ def history():
 @pytest.fixture(scope="module")
 def frozen():
     return runs.freeze(BUMPS, GRID)
+
+
+@pytest.fixture(scope="module")
+def bumps(history, frozen):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "evolve", lambda *_: history)
+        patch.setattr(study, "freeze", lambda *_: frozen)
+        return hj.statements(BUMPS, GRID)
 
 
 def series(found, name):
@@ -454,7 +457,7 @@ def test_no_characteristic():
 LAWS = [hj.rational(), hj.log(), hj.power(2.0), hj.power(0.6)]
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2, *(pytest.param(n, marks=pytest.mark.slow) for n in range(3, 8))])
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(n, marks=pytest.mark.slow) for n in range(2, 8))])
 def test_random_profiles(seed):
     """Slopes that are no shipped case, with q from -0.95 to 6, four laws, with K and with a prescribed coefficient."""
     rng = np.random.default_rng(seed)
