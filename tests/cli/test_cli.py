@@ -457,11 +457,11 @@ def f(q):
 
 @pytest.fixture
 def slow(folder):
-    """A case that takes two seconds and more on every machine."""
+    """A case that takes more than a second on every machine."""
     (folder / "slow_law.py").write_text(SLOW_LAW)
     law = {"law": "python", "file": "slow_law.py", "function": "f"}
     write_case(
-        folder, "slow", erosion=law, time={"end": 1.5, "snapshots": 2}, solver={"method": "eno2"}, **BARE
+        folder, "slow", erosion=law, time={"end": 1.0, "snapshots": 2}, solver={"method": "eno2"}, **BARE
     )  # fmt: skip
     return "slow.toml"
 

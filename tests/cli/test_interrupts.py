@@ -166,7 +166,9 @@ def test_signals_are_as_before():
     assert heard[1] == before
 
 
-@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize(
+    "closed", [*(pytest.param(one, marks=pytest.mark.slow) for one in ("<&-", "2>&-")), ">&-", "<&- >&- 2>&-"]
+)
 def test_a_stream_that_is_closed(closed):
     """What is said goes nowhere, and into no file that has got its number."""
     script = f'"$0" -m hjprofile cases {closed}; test $? = 0 && "$0" -m hjprofile run nix {closed}'

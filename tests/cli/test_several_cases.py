@@ -289,8 +289,13 @@ def test_a_notebook_has_a_bar(in_tmp, monkeypatch, capsys, recwarn, installed):
     """If it has widgets, which rich needs; else lines, and no warning."""
     monkeypatch.setitem(sys.modules, "ipykernel", sys)
     monkeypatch.setattr("rich.console.Console", Notebook)
+    for name in ("ipywidgets", "IPython", "IPython.display"):  # those of this environment are not used
+        monkeypatch.setitem(sys.modules, name, None)
+        if installed:
+            del sys.modules[name]
     if installed:
         Path("IPython").mkdir()
+        Path("IPython/__init__.py").touch()
         Path("IPython/display.py").write_text("def display(*_, **__): pass\n")
         Path("ipywidgets.py").write_text(WIDGETS)
         monkeypatch.syspath_prepend(str(in_tmp))

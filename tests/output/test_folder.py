@@ -48,7 +48,13 @@ def stand_ins(monkeypatch):
 
 def undrawn(monkeypatch):
     """The pictures of a run are empty files, which take no time."""
-    monkeypatch.setattr("hjprofile.output.store._picture", lambda run, name: {f"{name}.png": b""})
+    every = "profile", "diagram", "factor", "norms"
+
+    def empty(run, forms=("png",), names=every):
+        return {f"{name}.{form}": b"" for name in names for form in forms}
+
+    monkeypatch.setattr("hjprofile.output.plots.runs.pictures", empty)
+    monkeypatch.setattr("hjprofile.output.plots.animation.animation", lambda *_: b"")
 
 
 def fill(call, case, *options):

@@ -437,7 +437,7 @@ def test_defects_and_allowances_decrease_with_refinement():
 def test_characteristics_are_those_of_the_equation():
     """q along a characteristic from x₀ of data with a constant coefficient 1 is constant, and x = x₀ + f'(q) t."""
     problem = hj.Problem(hj.rational(), BUMPS.profile, 0.5, coefficient=hj.coefficient("1"))
-    values = along.follow(problem, hj.Grid(-10.0, 2000)).values
+    values = along.follow(problem, hj.Grid(-10.0, 1000)).values
     for c in range(values.x.shape[1]):
         x = values.x[:, c][np.isfinite(values.x[:, c])]
         if x.size > 1 and np.isfinite(values.x[0, c]):
