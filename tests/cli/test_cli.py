@@ -28,7 +28,7 @@ from hjprofile.problem.case import load_case
 from hjprofile.problem.case_files import shipped_cases
 from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.solve import solve_case
-from hjprofile.studies import dependence, statement_table, statements
+from hjprofile.studies import characteristic_statements, dependence, statement_runs, statement_table, statements
 from hjprofile.studies import stability as study
 from hjprofile.studies.chart import Point, Reference
 
@@ -257,6 +257,7 @@ def once(function):
 
 
 def test_statements_writes_its_tables_and_pictures(folder, call, monkeypatch):
+    monkeypatch.setattr(characteristic_statements, "TIMES", 101)
     for part in ("evolve", "freeze", "follow"):  # once for both calls
         monkeypatch.setattr(statements, part, once(getattr(statements, part)))
     code, out, err = call("statements", "bare.toml")
@@ -283,6 +284,8 @@ def test_statements_writes_its_tables_and_pictures(folder, call, monkeypatch):
 
 def test_statements_on_a_survey_and_with_a_coefficient(folder, call, monkeypatch):
     monkeypatch.setattr(statements, "CELLS", 150)
+    for where, name in ((characteristic_statements, "TIMES"), (statement_runs, "MOMENTS")):
+        monkeypatch.setattr(where, name, 21)
     for picture in ("statements_picture", "invariant_picture"):
         monkeypatch.setattr(statement_pictures, picture, lambda *_: b"")
     code, out, err = call("statements", "drying_channel", "--out", "channel")

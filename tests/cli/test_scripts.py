@@ -16,7 +16,7 @@ import hjprofile as hj
 from hjprofile.output import workers
 from hjprofile.output.plots import statement_pictures, study_pictures
 from hjprofile.problem.case_files import shipped_cases
-from hjprofile.studies import chart, consistency, dependence, stability
+from hjprofile.studies import characteristic_statements, chart, consistency, dependence, stability
 
 SCENE = {
     "title": "Zwei Knicke",
@@ -137,6 +137,7 @@ def test_chart_stability_and_dependence(scene, ask, monkeypatch):
 
 
 def test_statements(scene, ask, monkeypatch):
+    monkeypatch.setattr(characteristic_statements, "TIMES", 101)
     for picture in ("statements_picture", "invariant_picture"):
         monkeypatch.setattr(statement_pictures, picture, lambda *_: b"")
     document = ask("statements", "scene.toml")

@@ -73,7 +73,7 @@ class Copy:
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="where the user-wide cache is")
 @pytest.mark.parametrize("writable", [True, False], ids=["in the package", "user-wide"])
 def test_an_edited_kernel_is_the_kernel_that_runs(tmp_path, writable):
-    """Whether a function, one chosen by type or a constant of another file has changed; a damaged file is compiled too."""
+    """Whether a function, one chosen by type or a constant of another file has changed, or a file is damaged."""
     copy = Copy(tmp_path, writable)
     assert copy.ask() == (3.0, 0, 1)
     files = copy.files()

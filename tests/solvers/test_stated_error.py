@@ -160,10 +160,11 @@ def test_a_prescribed_coefficient_has_an_estimate_from_grids():
 
 
 @pytest.mark.parametrize("method", ["local-lax-friedrichs", "lax-friedrichs", "telescoping", "conservative", "inverse"])
-def test_coarser_grids_alone_bracket_the_error(method):
+@pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 4), marks=pytest.mark.slow)])
+def test_coarser_grids_alone_bracket_the_error(method, seeds):
     """On problems that have other references: the true error is known there."""
     ratios = []
-    for seed in range(4):
+    for seed in seeds:
         problem, grid, u, _ = scene(3, seed, cells=400)
         case = case_of(problem, grid, method)
         search = _Search(hj.solve_case(case), case, problem)

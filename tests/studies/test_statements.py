@@ -121,8 +121,9 @@ def test_a_coefficient_of_time_alone():
     assert found["flux_on_characteristics"].value < 1e-4
 
 
-def test_a_coefficient_of_x_alone():
+def test_a_coefficient_of_x_alone(monkeypatch):
     """k = 2 e^{-x/5}: F is transported, and TV(k) and inf k = 2 in the bound of TV(q) are known."""
+    monkeypatch.setattr(study, "follow", lambda *_: along._none("no characteristic is followed"))
     k = hj.coefficient("2*exp(-0.2*x)")
     problem = hj.Problem(hj.rational(), hj.bumps([0.5], [-4.0], [1.0]), 0.5, coefficient=k)
     found = hj.statements(problem, hj.Grid(-8.0, 400))
