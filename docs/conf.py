@@ -9,8 +9,22 @@ project = "hjprofile"
 author = "The hjprofile authors"
 version = release = hjprofile.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc"]
-exclude_patterns = ["_build"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx_gallery.gen_gallery"]
+exclude_patterns = ["_build", "gallery", "auto_gallery/index.rst"]  # pages of scripts are in auto_gallery
+sphinx_gallery_conf = {
+    "examples_dirs": "gallery",
+    "gallery_dirs": "auto_gallery",
+    "filename_pattern": r"\.py$",  # every script is run
+    "run_stale_examples": True,  # a script that has not changed may print other numbers
+    "abort_on_example_error": True,
+    "capture_repr": (),
+    "backreferences_dir": "auto_gallery/uses",  # the directive minigallery needs one
+    "doc_module": "hjprofile",
+    "download_all_examples": False,
+    "write_computation_times": False,
+    "show_signature": False,
+    "copyfile_regex": r"index\.rst",  # without a file of ours it writes a list of scripts; docs/gallery.md is that list
+}
 smartquotes_action = "D"  # dashes only: f' is a derivative, no quotation
 
 myst_enable_extensions = ["amsmath", "dollarmath"]

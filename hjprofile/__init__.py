@@ -13,9 +13,11 @@ if TYPE_CHECKING:
     from hjprofile.errors import InputError as InputError
     from hjprofile.errors import RunError as RunError
     from hjprofile.output.plots.animation import animate as animate
+    from hjprofile.output.plots.comparison import plot_comparison as plot_comparison
     from hjprofile.output.plots.user_axes import plot as plot
     from hjprofile.output.store import load_run as load_run
     from hjprofile.output.store import write_run as write_run
+    from hjprofile.output.study_files import write_study as write_study
     from hjprofile.output.sweep_results import sweep as sweep
     from hjprofile.output.vtk import export_vtk as export_vtk
     from hjprofile.problem import Problem as Problem
@@ -42,7 +44,11 @@ if TYPE_CHECKING:
     from hjprofile.problem.profiles import steps as steps
     from hjprofile.problem.survey import read_survey as read_survey
     from hjprofile.problem.survey import survey as survey
+    from hjprofile.problem.survey_import import import_survey as import_survey
     from hjprofile.solvers.closed_forms import exact as exact
+    from hjprofile.solvers.criteria import until_eroded as until_eroded
+    from hjprofile.solvers.criteria import until_kinks as until_kinks
+    from hjprofile.solvers.criteria import until_steady as until_steady
     from hjprofile.solvers.method_table import methods as methods
     from hjprofile.solvers.run import Run as Run
     from hjprofile.solvers.solve import solve as solve
@@ -52,11 +58,13 @@ if TYPE_CHECKING:
     from hjprofile.solvers.solve import solve_hj as solve_hj
     from hjprofile.solvers.solve import solve_inverse as solve_inverse
     from hjprofile.solvers.solve import track_fronts as track_fronts
+    from hjprofile.solvers.states import Snapshot as Snapshot
     from hjprofile.studies.accuracy import Comparison as Comparison
     from hjprofile.studies.accuracy import compare as compare
     from hjprofile.studies.accuracy import observed_order as observed_order
     from hjprofile.studies.calibration import Calibration as Calibration
     from hjprofile.studies.calibration import fit as fit
+    from hjprofile.studies.chart import Chart as Chart
     from hjprofile.studies.chart import chart as chart
     from hjprofile.studies.consistency import check as check
     from hjprofile.studies.consistency import check_consistency as check_consistency
@@ -74,7 +82,7 @@ _MODULES = {
     "errors": ("InputError", "RunError"),
     "studies.accuracy": ("Comparison", "compare", "observed_order"),
     "studies.calibration": ("Calibration", "fit"),
-    "studies.chart": ("chart",),
+    "studies.chart": ("Chart", "chart"),
     "studies.consistency": ("check", "check_consistency"),
     "studies.dependence": ("Dependence", "dependence"),
     "studies.slow_erosion": ("slow_erosion",),
@@ -82,8 +90,10 @@ _MODULES = {
     "studies.statements": ("Statements", "statements"),
     "studies.verdict": ("Consistency",),
     "output.plots.animation": ("animate",),
+    "output.plots.comparison": ("plot_comparison",),
     "output.plots.user_axes": ("plot",),
     "output.store": ("load_run", "write_run"),
+    "output.study_files": ("write_study",),
     "output.sweep_results": ("sweep",),
     "output.vtk": ("export_vtk",),
     "problem": ("Problem",),
@@ -97,9 +107,12 @@ _MODULES = {
     "problem.profile_base": ("Profile",),
     "problem.profiles": ("bumps", "kinks", "points", "steady", "steps"),
     "problem.survey": ("read_survey", "survey"),
+    "problem.survey_import": ("import_survey",),
     "solvers.closed_forms": ("exact",),
+    "solvers.criteria": ("until_eroded", "until_kinks", "until_steady"),
     "solvers.method_table": ("methods",),
     "solvers.run": ("Run",),
+    "solvers.states": ("Snapshot",),
     "solvers.solve": (
         "solve", "solve_case", "solve_characteristics", "solve_conservative", "solve_hj", "solve_inverse",
         "track_fronts",

@@ -23,8 +23,9 @@ def in_tmp(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def call(capsys):
-    """Runs a command in this process; exit code, stdout, stderr."""
+def call(capsys, monkeypatch):
+    """Runs a command in this process; exit code, stdout, stderr. On a slow machine, too, no line tells the progress."""
+    monkeypatch.setattr(common, "LINE_EVERY", float("inf"))
 
     def call(*arguments):
         with pytest.raises(SystemExit) as left:

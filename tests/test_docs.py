@@ -194,7 +194,8 @@ def test_rows_of_a_table_have_as_many_cells_as_its_head():
             columns = cells
 
 
-SOURCES = [*PAGES, *sorted((ROOT / "hjprofile").rglob("*.py")), *sorted((ROOT / "tests").rglob("*.py"))]
+SOURCES = [*PAGES, *sorted(DOCS.glob("gallery/*.py")), *sorted((ROOT / "hjprofile").rglob("*.py"))]
+SOURCES += sorted((ROOT / "tests").rglob("*.py"))
 
 
 def test_no_keys_of_the_papers_source_are_cited():

@@ -7,7 +7,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 MODULES = sorted((ROOT / "hjprofile").rglob("*.py"))
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "docs" / "gallery").glob("*.py"))]
 PATTERNS = {  # clauses in the place of a noun, personified software, words that are not used
     "clause for a noun": r"(?:^|[.:;|(] *|\b(?:of|by|with|for|from|to|is|and|than|in|on) )"
     r"(?:[Ww]hat|[Ww]hatever|[Ww]hoever) (?!if\b)",

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import tempfile
-from contextlib import chdir
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
 from hjprofile.cli.common import OUT, Json, answer, app, expanded, say
-from hjprofile.errors import InputError
 
 Source = Annotated[Path, Parameter(converter=expanded, help="A text file with a point per line, in any notation.")]
 Slope = Annotated[float | None, Parameter(help="Neutral slope, height over length; the mean slope by default.")]
@@ -37,25 +34,11 @@ def import_(
 
     Separators, decimal commas, headers, units in headers, gaps and the direction are recognised. No file is replaced.
     """
-    from hjprofile.files import write_whole
-    from hjprofile.problem.case import load_case
     from hjprofile.problem.survey_import import import_survey
 
-    case = out or Path(file.stem + ".toml")
-    table = case.with_suffix(".csv")
-    if table.exists() and file.exists() and table.samefile(file):
-        table = case.with_name(f"{case.stem}_clean.csv")
-    for path in (case, table):
-        if path.exists():
-            raise InputError(f"{path} exists, and import replaces no file; name another case with --out")
     wanted = [int(name) if name.isdigit() else name for name in columns.split(",")] if columns else None
-    made = import_survey(file, table.name, case.stem, critical_slope, length, wanted, uphill, nodata or (), (from_, to))
-    with tempfile.TemporaryDirectory() as trial, chdir(trial):  # a case that would be rejected is not written
-        Path(table.name).write_text(made.csv, encoding="utf-8")
-        Path(case.name).write_text(made.case, encoding="utf-8")
-        load_case(Path(case.name))
-    write_whole(table, made.csv)
-    write_whole(case, made.case)
-    lines = [*made.account, f"written: {table}, {case}", f"next: hjprofile run {case}"]
+    reading: dict[str, Any] = {"columns": wanted, "nodata": nodata, "uphill": uphill, "from": from_, "to": to}
+    made = import_survey(file, out, critical_slope, length, **reading)
+    lines = [*made.account, f"written: {made.survey}, {made.case}", f"next: hjprofile run {made.case}"]
     say(json, "\n".join(lines))
-    answer(json, {"case": str(case), "survey": str(table), "account": made.account})
+    answer(json, {"case": made.case, "survey": made.survey, "account": made.account})

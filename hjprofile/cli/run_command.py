@@ -119,13 +119,13 @@ def _solve(name: Path, path: Path | None, asked: _Options, label: str) -> tuple[
     loaded = load_case(name, asked.values)
     folder = folder_for((name,), path, NAME if asked.resume else "", asked.values)
     with drawing_helper(loaded.plots) as helper:
-        from hjprofile.solvers.solve import check_case, solve_case
+        from hjprofile.solvers.solve import check_case, solve_and_keep
 
         check_case(loaded)
         folder.open()
         checkpoint = Checkpoint(folder.path, loaded.checkpoint, asked.resume, folder.claim)
         with Progress(label, asked.bar) as progress:
-            result = solve_case(loaded, progress, asked.strict, checkpoint)
+            result = solve_and_keep(loaded, checkpoint, progress, asked.strict)
         result, files = write_results(result, folder, loaded.vtk, loaded.plots, helper)
         checkpoint.discard()
     say(asked.quiet, run_account(result))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 from hjprofile.cli.common import (
     After,
     CasePath,
@@ -76,16 +74,15 @@ def fit(
     The profile of the case is the survey before. Writes fit.json, fit.png and fitted.toml, the case with the fitted
     values.
     """
-    from hjprofile.output.fit_files import fit_account, fit_files, fit_report
-    from hjprofile.output.plots.study_pictures import fit_picture
-    from hjprofile.output.store import write_study
+    from hjprofile.output.fit_report import fit_account, fit_report
+    from hjprofile.output.study_files import study_files, write_files
     from hjprofile.problem.survey import read_survey
     from hjprofile.studies.calibration import fit as fit_case
 
     folder, (loaded,) = load_cases((case,), out)
     x, height, _ = read_survey(after)
     found = fit_case(loaded.source, x, height, vary, sigma)
-    written = write_study(folder.open(), fit_files(found), {"fit.png": partial(fit_picture, found)})
+    written = write_files(folder.open(), study_files(found))
     say(quiet or json, fit_account(found))
     lines = [f"  WARNING   {warning}" for warning in written.warnings]
     say(quiet or json, "\n".join([*lines, f"  written     {folder}: {listing(folder.path, written.files)}"]))

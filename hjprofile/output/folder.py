@@ -42,7 +42,7 @@ class Owner(NamedTuple):
     fingerprint: str
 
     def __str__(self) -> str:
-        return " and ".join(self.cases) or "a run that was written from Python"
+        return " and ".join(self.cases) or "another result that was written from Python"
 
 
 def owner_of(cases: Sequence[Path], values: Mapping[str, Any] | None = None) -> Owner:
@@ -190,6 +190,14 @@ class ResultFolder:
     def _write_record(self) -> None:
         content = {"cases": self.owner.cases, "fingerprint": self.owner.fingerprint, "files": sorted(self.files)}
         write_whole(self.path / RECORD, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
+
+
+def folder_of(path: Path, owner: Owner) -> ResultFolder:
+    """Return an open folder for files made in Python. Raise InputError if it belongs to another owner."""
+    there = _recorded(path)
+    if there is not None and there.owner.fingerprint != owner.fingerprint:
+        raise InputError(f"{path} belongs to {there.owner}; name another folder, or delete this one", ABOUT)
+    return ResultFolder(path, owner).open()
 
 
 def add_files(result: Path, folder: Path, files: Mapping[str, bytes | str], mixed: bool = False) -> list[Path]:

@@ -7,12 +7,12 @@ import io
 import json
 import tomllib
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -41,13 +41,6 @@ _OF_A_RUN = (
     "summary.json", STEPS_FILE, SURVEY_FILE, "*.gif", "*.mp4", f"{VTK_FOLDER}/*",
     *(f"{name}.{form}" for name in (*PICTURES, "comparison") for form in ("png", "svg")),
 )  # fmt: skip
-
-
-class Written(NamedTuple):
-    """The files of optional products, and a warning for each product that could not be made."""
-
-    files: list[Path]
-    warnings: list[str]
 
 
 def write_run(run: Run, folder: str | Path, vtk: bool = True, plots: bool = True) -> list[Path]:
@@ -150,26 +143,6 @@ def _vtk(run: Run) -> dict[str, bytes | str]:
     from hjprofile.output.vtk import vtk_files
 
     return {f"{VTK_FOLDER}/{name}": data for name, data in vtk_files(run).items()}
-
-
-def write_study(
-    place: ResultFolder, tables: Mapping[str, bytes | str], pictures: Mapping[str, Callable[[], bytes | str] | None]
-) -> Written:
-    """Write the tables of a study, then its pictures: name -> function that draws it, or None if it has no picture now.
-
-    Pictures of an earlier study are removed first, so that none remains with the tables of a later one.
-    """
-    place.remove(pictures)
-    files = place.write(tables)
-    warnings: list[str] = []
-    for name, draw in pictures.items():
-        if draw:
-            files += place.write(attempt(warnings, f"{name} could not be drawn", _named, name, draw))
-    return Written(files, warnings)
-
-
-def _named(name: str, draw: Callable[[], bytes | str]) -> dict[str, bytes | str]:
-    return {name: draw()}
 
 
 def attempt(

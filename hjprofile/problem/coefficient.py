@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from hjprofile.problem.expressions import arithmetic
 from hjprofile.problem.kinds import STRIPPED, TEXT
 from hjprofile.problem.paths import folder_of, located
 from hjprofile.problem.ranges import RANGES, Array, as_path, brief, shown
-from hjprofile.problem.schema import as_call, choice, table_of
+from hjprofile.problem.schema import as_call, choice, table_of, with_origin
 from hjprofile.problem.stored import read_profile
 from hjprofile.problem.units import Units
 from hjprofile.problem.user_code import Sendable, evaluating, load_function, over_arrays
@@ -43,12 +43,12 @@ class Coefficient:
     """
 
     function: Callable[[Any, Any], Any]
-    table: Mapping[str, Any]
     steady: bool = False
     left: float = -np.inf
     end: float = np.inf
-    content: str | None = None
     units: Units | None = None
+    table: Mapping[str, Any] = field(default_factory=dict, init=False)
+    content: str | None = field(default=None, init=False)
 
     def __repr__(self) -> str:
         if "expression" in self.table:
@@ -60,7 +60,11 @@ class Coefficient:
     def __reduce__(self) -> tuple[Any, ...]:
         if self.content == "":
             return coefficient, (self.table["expression"],)
-        return type(self), tuple(vars(self).values())
+        fields = self.function, self.steady, self.left, self.end, self.units
+        return type(self), fields, {"table": dict(self.table), "content": self.content}
+
+    def __setstate__(self, origin: Mapping[str, Any]) -> None:
+        vars(self).update(origin)
 
     def values(self, t: Any, x: Any) -> Array:
         """Return k at times t and positions x, arrays that broadcast; the result has their common shape.
@@ -121,7 +125,7 @@ def coefficient(k: str | Callable[..., Any]) -> Coefficient:
         steady = len(inspect.signature(k).parameters) == 1
     except (TypeError, ValueError):  # compiled functions need not have a signature
         steady = False
-    return Coefficient(over_arrays(_OfPlace(k) if steady else k, *PROBE), table, steady)
+    return with_origin(Coefficient(over_arrays(_OfPlace(k) if steady else k, *PROBE), steady), table=table)
 
 
 class _OfPlace(Sendable):
@@ -135,14 +139,14 @@ class _OfPlace(Sendable):
 def from_expression(expression: str) -> Coefficient:
     """Return a coefficient from an expression in t and x."""
     checked = arithmetic(expression, "t", "x")
-    return Coefficient(checked.value, {}, "t" not in checked.used, content="")
+    return with_origin(Coefficient(checked.value, "t" not in checked.used), content="")
 
 
 @choice("python", file=TEXT, function=TEXT)
 def from_file(file: str | Path, function: str) -> Coefficient:
     """Return a coefficient from the function of that name in a Python file, which is run."""
     loaded = load_function(located(folder_of(file), file), function)
-    return replace(coefficient(loaded.function), content=loaded.content)
+    return with_origin(coefficient(loaded.function), content=loaded.content)
 
 
 @choice("run", result=TEXT)
@@ -181,7 +185,7 @@ def stored_coefficient(result: str | Path) -> Coefficient:
         raise InputError(f"result = {str(result)!r} holds no positive K at its saved times and nodes")
     if time[0] > 0.0:
         raise InputError(f"result = {str(result)!r} begins at t = {time[0]:g}; K is needed from t = 0 on")
-    return replace(tabulated(time, x, K), units=units)
+    return with_origin(tabulated(time, x, K), units=units)
 
 
 def tabulated(time: Array, x: Array, k: Array) -> Coefficient:
@@ -191,7 +195,8 @@ def tabulated(time: Array, x: Array, k: Array) -> Coefficient:
     found = _Tabulated(time, x, np.log(k))
     content = hashlib.sha256(b"".join(values.tobytes() for values in (time, x, found.ln_k))).hexdigest()
     table = table_of(stored_coefficient, {"result": ""})
-    return Coefficient(found, table, time.size == 1, float(x[0]), float(time[-1]), content)
+    known = Coefficient(found, time.size == 1, float(x[0]), float(time[-1]))
+    return with_origin(known, table=table, content=content)
 
 
 @dataclass(frozen=True, eq=False)

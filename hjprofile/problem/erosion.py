@@ -7,7 +7,7 @@ the last one is replaced by f' -> η0 > 0: slopes then become infinite, and the 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from hjprofile.problem.kinds import POSITIVE, STRIPPED, TEXT
 from hjprofile.problem.lists import as_numbers
 from hjprofile.problem.paths import folder_of, located
 from hjprofile.problem.ranges import Array, number, shown
-from hjprofile.problem.schema import as_call, choice, table_of
+from hjprofile.problem.schema import as_call, choice, table_of, with_origin
 from hjprofile.problem.user_code import Function, OnCopies, Sendable, load_function, over_arrays
 
 NEAR_ZERO = 0.05  # |q| below which a polynomial gives f(q)/q: f may be a difference of numbers of order one
@@ -71,10 +71,10 @@ class ErosionLaw:
 
     f: Function
     derivative: Function
-    table: Mapping[str, Any] = field(default_factory=dict)
     closed_inverse: Function | None = None
     eta0: float = 0.0
-    content: str | None = None
+    table: Mapping[str, Any] = field(default_factory=dict, init=False)
+    content: str | None = field(default=None, init=False)
 
     def __call__(self, q: Any) -> Array:
         """Return f(q) for a number or an array; -∞ or NaN unless q > -1. Raise InputError for other types."""
@@ -90,8 +90,11 @@ class ErosionLaw:
     def __reduce__(self) -> tuple[Any, ...]:
         if self.content == "":
             return _from_table, (dict(self.table),)
-        fields = self.f, self.derivative, dict(self.table), self.closed_inverse, self.eta0, self.content
-        return type(self), fields
+        fields = self.f, self.derivative, self.closed_inverse, self.eta0
+        return type(self), fields, {"table": dict(self.table), "content": self.content}
+
+    def __setstate__(self, origin: Mapping[str, Any]) -> None:
+        vars(self).update(origin)
 
     @property
     def grows_linearly(self) -> bool:
@@ -228,12 +231,12 @@ def rational() -> ErosionLaw:
     >>> float(hj.rational().f(1.0))
     0.5
     """
-    return ErosionLaw(
+    law = ErosionLaw(
         f=lambda q: q / (1.0 + q),
         derivative=lambda q: 1.0 / np.square(1.0 + q),
         closed_inverse=lambda y: np.where(y < 1.0, y / np.where(y < 1.0, 1.0 - y, 1.0), np.nan),
-        content="",
     )
+    return with_origin(law, content="")
 
 
 @_law("log")
@@ -244,7 +247,8 @@ def log() -> ErosionLaw:
     >>> round(float(hj.log().f(1.0)), 6)
     0.693147
     """
-    return ErosionLaw(f=np.log1p, derivative=lambda q: 1.0 / (1.0 + q), closed_inverse=np.expm1, content="")
+    law = ErosionLaw(f=np.log1p, derivative=lambda q: 1.0 / (1.0 + q), closed_inverse=np.expm1)
+    return with_origin(law, content="")
 
 
 @_law("power", m=POSITIVE)
@@ -270,12 +274,12 @@ def power(m: float) -> ErosionLaw:
         less = -m * np.asarray(y)  # (1+q)^-m - 1
         return np.where(less > -1, np.expm1(-np.log1p(np.where(less > -1, less, 0.0)) / m), np.nan)
 
-    return ErosionLaw(
+    law = ErosionLaw(
         f=lambda q: -np.expm1(-m * np.log1p(q)) / m,
         derivative=lambda q: np.exp(-(m + 1.0) * np.log1p(q)),
         closed_inverse=inverse,
-        content="",
     )
+    return with_origin(law, content="")
 
 
 @_law("expression", expression=STRIPPED, growth=TEXT)
@@ -296,14 +300,14 @@ def expression(expression: str, growth: str | None = None) -> ErosionLaw:
     >>> float(hj.expression("sqrt(1+q) - 1/sqrt(1+q)").f(3.0))
     1.5
     """
-    return replace(erosion_law(arithmetic(expression, "q").value, growth=growth), content="")
+    return with_origin(erosion_law(arithmetic(expression, "q").value, growth=growth), content="")
 
 
 @_law("python", file=TEXT, function=TEXT, growth=TEXT)
 def from_file(file: str | Path, function: str, growth: str | None = None) -> ErosionLaw:
     """Return a law from the function of that name in a Python file, which is run; `growth` as in `erosion_law`."""
     loaded = load_function(located(folder_of(file), file), function)
-    return replace(erosion_law(loaded.function, growth=growth), content=loaded.content)
+    return with_origin(erosion_law(loaded.function, growth=growth), content=loaded.content)
 
 
 def erosion_law(
@@ -337,13 +341,9 @@ def erosion_law(
     vectorised = over_arrays(f, PROBE)
     slope = over_arrays(derivative, PROBE) if derivative is not None else Differentiated(vectorised)
     origin = {"file": getattr(f, "__module__", None) or "", "function": getattr(f, "__name__", "f"), "growth": growth}
-    return ErosionLaw(
-        f=vectorised,
-        derivative=slope,
-        table=table_of(from_file, origin),
-        closed_inverse=inverse and OnCopies(inverse),
-        eta0=check_assumptions(vectorised, slope, growth == LINEAR),
-    )
+    eta0 = check_assumptions(vectorised, slope, growth == LINEAR)
+    law = ErosionLaw(vectorised, slope, inverse and OnCopies(inverse), eta0)
+    return with_origin(law, table=table_of(from_file, origin))
 
 
 def _from_table(table: Mapping[str, Any]) -> ErosionLaw:

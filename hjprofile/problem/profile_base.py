@@ -16,6 +16,7 @@ import numpy as np
 from hjprofile.errors import InputError
 from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid, grid_from
+from hjprofile.problem.own_profile import check_parts
 from hjprofile.problem.ranges import Array
 from hjprofile.problem.schema import Choice, as_call, choice
 from hjprofile.problem.units import SurveyLine, Units
@@ -119,6 +120,8 @@ class Profile:
                 f"left must be at most {start:.6g}"
             )
         self._check_rising(self.q_means(grid, law), grid)
+        if not self.source and getattr(self, "choice", None) is None:  # a class of a user
+            check_parts(self, grid.left, law)
 
     @staticmethod
     def _check_rising(q: Array, grid: Grid) -> None:

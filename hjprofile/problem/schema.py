@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 from functools import wraps
 from pathlib import Path
 from typing import Any, TypeVar
@@ -185,13 +185,24 @@ def choice(name: str, chooser: str = "kind", into: str = "table", **kinds: Kind)
             bound = signature.bind(*args, **named).arguments
             for name in further:
                 bound |= bound.pop(name, {})
-            return replace(found, **{into: maker.choice.table(bound)})
+            return with_origin(found, **{into: maker.choice.table(bound)})
 
         maker: Any = make if isinstance(make, type) else made
         maker.choice = Choice(name, keys, chooser, maker)
         return maker
 
     return declared
+
+
+def with_origin(thing: Any, **origin: Any) -> Any:
+    """Return a copy of a dataclass with other values of some fields, also of those that its constructor does not take.
+
+    Such a field tells the origin of the object: the table that makes it again, the hash of a file. A user who
+    constructs the object has none of them.
+    """
+    made = object.__new__(type(thing))
+    vars(made).update({each.name: getattr(thing, each.name) for each in fields(thing)} | origin)
+    return made
 
 
 def table_of(make: Any, values: Mapping[str, Any]) -> dict[str, Any]:

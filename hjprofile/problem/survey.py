@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypedDict, Unpack
@@ -109,7 +109,7 @@ def survey(
         if value is REQUIRED:
             raise InputError(f"{key} is missing; it must be {RANGES[key].words}", ABOUT)
     critical_slope, length = number("critical_slope", critical_slope, ABOUT), number("length", length, ABOUT)
-    _check_options(repair, reading)
+    check_options(reading, Reading.__annotations__, repair)
     name, points = _points(file, x, height, reading)
     flank = one_flank(name, points, reading.get("uphill"), reading.get("from"), reading.get("to"))
     _check_units(flank, critical_slope)
@@ -214,15 +214,14 @@ def read_survey(
     True
     """
     reading: Reading = {"columns": columns, "nodata": nodata}
-    _check_options(None, reading)
+    check_options(reading, Reading.__annotations__)
     points = _points(file, None, None, reading)[1]
     return points.x, points.height, points.rows
 
 
 def _points(file: Any, x: Any, height: Any, reading: Reading) -> tuple[str, Measured]:
     """Return the points of a file or of two arrays, and their name in messages. Raises InputError."""
-    unit, missing = reading.get("unit"), reading.get("nodata")
-    nodata = np.atleast_1d(np.array([] if missing is None else missing, dtype=float))
+    unit, nodata = reading.get("unit"), nodata_of(reading.get("nodata"))
     if file is None and x is None and height is None:
         raise InputError("file is missing; it must be a file of points; in its place x and height may be given", ABOUT)
     if file is not None and not (x is None and height is None):
@@ -240,10 +239,14 @@ def _points(file: Any, x: Any, height: Any, reading: Reading) -> tuple[str, Meas
     return name, points._replace(unit=unit or found)
 
 
-def _check_options(repair: Any, reading: Reading) -> None:
-    """Raise InputError with all options that are out of range."""
+def nodata_of(missing: float | Sequence[float] | None) -> Array:
+    """Return the numbers that stand for a missing height, as an array."""
+    return np.atleast_1d(np.array([] if missing is None else missing, dtype=float))
+
+
+def check_options(reading: Mapping[str, Any], known: Iterable[str], repair: Any = None) -> None:
+    """Raise InputError with all options that are not known or out of range."""
     faults = []
-    known = Reading.__annotations__
     for name in reading:
         if name not in known:
             faults.append(f"{name} is not an option of a survey (allowed: {', '.join(known)})")

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
+from contextlib import chdir
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypedDict, Unpack
 
 import numpy as np
 
+from hjprofile.errors import InputError
+from hjprofile.files import write_whole
+from hjprofile.problem.case import load_case
 from hjprofile.problem.flank import one_flank
-from hjprofile.problem.ranges import number
+from hjprofile.problem.ranges import as_path, number
+from hjprofile.problem.survey import check_options, nodata_of
 from hjprofile.problem.survey_file import ABOUT, read_points
 
 BEYOND_TOE = 0.02  # the grid begins this part of the extent below the toe
@@ -41,40 +47,94 @@ tolerance = 1e-3  # largest error of heights, in units of critical_slope * lengt
 
 
 class Imported(NamedTuple):
-    """A survey and a case, as texts.
+    """A case made from a file of measured points.
 
     Attributes:
-        csv: the points with the header `x,height`, x increasing.
-        case: the case file in TOML.
+        case: the path of the case file.
+        survey: the path of the CSV file of the points, which the case names.
         account: sentences on everything that was done and assumed.
     """
 
-    csv: str
-    case: str
+    case: Path
+    survey: Path
     account: list[str]
 
 
+# Which points of the file are used, as for `survey`
+Reading = TypedDict(
+    "Reading",
+    {
+        "columns": "Sequence[str | int] | None",
+        "nodata": "float | Sequence[float] | None",
+        "uphill": "str | None",
+        "from": "float | None",
+        "to": "float | None",
+    },
+    total=False,
+)
+
+
 def import_survey(
-    source: Path, file: str, title: str, critical_slope: float | None = None, length: float | None = None,
-    columns: Sequence[str | int] | None = None, uphill: str | None = None, nodata: Sequence[float] = (),
-    stretch: tuple[float | None, float | None] = (None, None),
+    source: str | Path, case: str | Path | None = None, critical_slope: float | None = None,
+    length: float | None = None, **reading: Unpack[Reading],
 ) -> Imported:  # fmt: skip
-    """Return a survey in the notation of hjprofile, and a case for it.
+    """Make a case from a file of measured points: a clean CSV file, and a case file next to it.
+
+    Separators, decimal commas, headers, units in headers, gaps and the direction are recognised. No file is replaced.
 
     Args:
         source: the file of measured points, see `read_survey`.
-        file: the name of the new CSV file, which the case names.
-        title: the title of the case.
+        case: the path of the new case file; by default the name of the source, with .toml, in the current folder.
         critical_slope: the neutral slope, height over length; the mean slope of the survey by default.
         length: the exchange length, in the unit of x; a tenth of the extent of the survey by default.
-        columns, nodata: see `read_survey`.
-        uphill: "left" or "right", the side of the crest; found from the heights by default.
-        stretch: the smallest and the largest x that are used; None for no limit.
+        reading: `columns`, `nodata`, `uphill`, `from` and `to`, as for `survey`.
 
-    Raises InputError for a file that is no survey, or one of two flanks.
+    Returns:
+        The paths of both files, and an account of what was done and assumed.
+
+    Raises:
+        InputError: for a file that is no survey, or one of two flanks, and if a file exists that would be replaced.
+        OSError: if the files cannot be written.
+
+    >>> import pathlib, tempfile
+    >>> import hjprofile as hj
+    >>> folder = pathlib.Path(tempfile.mkdtemp())
+    >>> _ = (folder / "gps.txt").write_text("dist;elev\\n0;10,0\\n5;12,5\\n10;16,0\\n20;20,0\\n")
+    >>> made = hj.import_survey(folder / "gps.txt", folder / "slope.toml", length=4.0)
+    >>> made.case.name, made.survey.name, hj.load_case(made.case).problem.profile.units.length
+    ('slope.toml', 'slope.csv', 4.0)
     """
-    points = read_points(source, columns, nodata)
-    flank = one_flank(f"file = {str(source)!r}", points, uphill, *stretch)
+    source = as_path("source", source)
+    check_options(reading, Reading.__annotations__)
+    path = Path(source.stem + ".toml") if case is None else as_path("case", case)
+    table = path.with_suffix(".csv")
+    if table.exists() and source.exists() and table.samefile(source):
+        table = path.with_name(f"{path.stem}_clean.csv")
+    for new in (path, table):
+        if new.exists():
+            raise InputError(f"{new} exists, and import replaces no file; choose another name for the case", ABOUT)
+    csv, toml, account = _texts(source, table.name, path.stem, critical_slope, length, reading)
+    with tempfile.TemporaryDirectory() as trial, chdir(trial):  # a case that would be rejected is not written
+        Path(table.name).write_text(csv, encoding="utf-8")
+        Path(path.name).write_text(toml, encoding="utf-8")
+        load_case(Path(path.name))
+    write_whole(table, csv)
+    write_whole(path, toml)
+    return Imported(path, table, account)
+
+
+def _texts(
+    source: Path, file: str, title: str, critical_slope: float | None, length: float | None, reading: Reading
+) -> tuple[str, str, list[str]]:
+    """Return a survey in the notation of hjprofile, a case for it, and the account.
+
+    `file` is the name of the new CSV file, `title` the title of the case; options as for `import_survey`.
+
+    Raise InputError for a file that is no survey, or one of two flanks.
+    """
+    points = read_points(source, reading.get("columns"), nodata_of(reading.get("nodata")))
+    stretch = reading.get("from"), reading.get("to")
+    flank = one_flank(f"file = {str(source)!r}", points, reading.get("uphill"), *stretch)
     account = [*flank.account] if points.account else [f"{source.name}: {points.x.size} points", *flank.account]
     extent, relief = float(np.ptp(flank.s)), float(np.ptp(flank.height))
     given = critical_slope is not None, length is not None
@@ -98,4 +158,4 @@ def import_survey(
     )  # fmt: skip
     order = slice(None, None, int(flank.direction))
     rows = zip(flank.x[order].tolist(), flank.height[order].tolist(), strict=True)
-    return Imported("x,height\n" + "".join(f"{a!r},{b!r}\n" for a, b in rows), case, account)
+    return "x,height\n" + "".join(f"{a!r},{b!r}\n" for a, b in rows), case, account

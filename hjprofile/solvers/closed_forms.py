@@ -27,7 +27,7 @@ from hjprofile.solvers.snapshots import Solution, assembled, walk
 CLOSED_FORM_ERROR = 1e-13  # of u of order 1; measured: 2e-14 for rational laws, 1e-12 for others, as the volume shows
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ClosedForm:
     """An exact solution with at most one kink.
 
@@ -45,6 +45,10 @@ class ClosedForm:
     factor: Callable[[float, Array], Array]
     exit_time: float
     sinking: float = 0.0
+
+    def __repr__(self) -> str:
+        kink = f"its kink leaves at t = {self.exit_time:.6g}" if self.exit_time < np.inf else "no kink leaves"
+        return f"ClosedForm under {self.law!r}: {kink}"
 
     def kink(self, t: float) -> float:
         """Return the position of the kink at time t; NaN if there is none."""

@@ -12,7 +12,8 @@ LONGEST_TITLE = 60  # characters
 def as_text(run: Any) -> str:
     """Return the `repr` of a run."""
     (_, title), (_, method), (_, status), *rest = _rows(run)
-    return "\n  ".join((f"Run {title!r} by {method}: {status}", *(f"{name}: {value}" for name, value in rest)))
+    named = f"Run {title!r}" if run.title.strip() else "Run"
+    return "\n  ".join((f"{named} by {method}: {status}", *(f"{name}: {value}" for name, value in rest)))
 
 
 def as_html(run: Any) -> str:

@@ -265,11 +265,7 @@ def _off_grid(
 
 
 def solve_case(
-    case: AnyCase,
-    progress: Progress | None = None,
-    strict: bool = False,
-    keeper: Keeper | None = None,
-    callback: Callback | None = None,
+    case: AnyCase, progress: Progress | None = None, strict: bool = False, callback: Callback | None = None
 ) -> Run:
     """Solve a case by its own method, and estimate the errors by comparison with an independent solution (§18).
 
@@ -278,19 +274,28 @@ def solve_case(
     - `progress`: a function that is called with the completed fraction in [0, 1].
     - `strict`: True stops a run on a grid that violates a bound of its method. Runs of other methods return with the
       violated bound as `status`.
-    - `keeper`: a store of checkpoints of runs on a grid; runs of other methods take seconds.
     - `callback`: as for `solve_hj`; for methods without a grid as for `track_fronts`.
 
-    Return a `Run`. Raise InputError for incompatible options, and for checkpoints with a Python function that is not in
-    a file. Raise RunError if the run cannot start, or if no method reaches the end with `auto`.
+    Return a `Run`. Raise InputError for incompatible options. Raise RunError if the run cannot start, or if no method
+    reaches the end with `auto`.
 
     >>> import hjprofile as hj
     >>> hj.solve_case(hj.load_case("travelling_kink", {"domain.cells": 200})).status
     'done'
     """
-    case = as_case(case)
     _check_functions(progress, callback)
     instance("strict", strict, bool)
+    return solve_and_keep(as_case(case), None, progress, strict, callback)
+
+
+def solve_and_keep(
+    case: Case, keeper: Keeper | None, progress: Progress | None = None, strict: bool = False,
+    callback: Callback | None = None,
+) -> Run:  # fmt: skip
+    """Solve a case as `solve_case`. The keeper stores checkpoints of runs on a grid; other methods take seconds.
+
+    Raise InputError also for checkpoints with a Python function that is not in a file.
+    """
     method = check_case(case)
     problem, grid = case.problem, case.grid
     problem.check(grid)

@@ -28,6 +28,12 @@ class Snapshot:
         u: height on the nodes, in exchange lengths times the critical slope.
         q: cell means of u_x - 1, shape (cells,).
         K: grain flux on the nodes, relative to the supply.
+        kinks: positions of the kinks, from left to right; None between saved times.
+
+    >>> import hjprofile as hj
+    >>> problem = hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0)
+    >>> hj.track_fronts(problem, hj.Grid(-5.0, 100)).at(0.0)
+    Snapshot at t = 0: 100 cells on [-5, 0]
     """
 
     t: float
@@ -36,6 +42,7 @@ class Snapshot:
     u: Array
     q: Array
     K: Array
+    kinks: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         _protect(self, "x", "x_cell", "u", "q", "K")
@@ -75,8 +82,13 @@ def stopped_by(callback: Callback, state: Snapshot) -> Stop | None:
     answer = callback(state.t, state)
     if not (isinstance(answer, (bool, np.bool_)) and answer):
         return None
-    name = getattr(callback, "__name__", None) or repr(callback)
-    return Stop(Reason.CALLBACK, "{name} returned True at t = {t:.6g}", values={"name": name, "t": Time(state.t)})
+    values = {"name": name_of(callback), "t": Time(state.t)}
+    return Stop(Reason.CALLBACK, "{name} returned True at t = {t:.6g}", values=values)
+
+
+def name_of(callback: Callback) -> str:
+    """Return the name of a function, or an object that is called as it is written."""
+    return str(getattr(callback, "__name__", None) or repr(callback))
 
 
 def _protect(holder: Any, *names: str) -> None:
@@ -152,6 +164,7 @@ class SavedStates:
     q: Array
     K: Array
     units: Units | None
+    kinks: Sequence[Any]
 
     @property
     def _inflow(self) -> bool:
@@ -173,7 +186,11 @@ class SavedStates:
         (0.25, (201,), (200,))
         """
         u, q, K = row_at(self.time, t, self.u), row_at(self.time, t, self.q), row_at(self.time, t, self.K, True)
-        return Snapshot(float(t), self.x, self.x_cell, u, q, K)
+        before, part = place_in_time(self.time, t)
+        kinks = None
+        if part == 0.0:
+            kinks = tuple(kink.x for kink in self.kinks if kink.time == self.time[before])
+        return Snapshot(float(t), self.x, self.x_cell, u, q, K, kinks)
 
     def sample(self, x: float | Sequence[float] | Array) -> Gauges:
         """Return time series of u, q and K at positions x on the domain, in exchange lengths.

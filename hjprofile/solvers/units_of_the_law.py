@@ -18,6 +18,7 @@ from hjprofile.problem.case import resolved_case
 from hjprofile.problem.erosion import ErosionLaw, Function
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.line import stretched
+from hjprofile.problem.schema import with_origin
 from hjprofile.solvers.run import Run
 from hjprofile.solvers.stop import Stop, Stopped
 
@@ -125,10 +126,10 @@ def _stretched_law(
     f: Function, derivative: Function, inverse: Function | None, eta0: float, length: float
 ) -> ErosionLaw:
     """Return the law λf."""
-    return ErosionLaw(
+    law = ErosionLaw(
         lambda q: length * f(q),
         lambda q: length * derivative(q),
-        {"law": "stretched"},
         None if inverse is None else lambda y: inverse(np.asarray(y, dtype=float) / length),
         length * eta0,
     )
+    return with_origin(law, table={"law": "stretched"})

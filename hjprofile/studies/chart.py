@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hjprofile.errors import InputError, RunError
 from hjprofile.problem import Problem
+from hjprofile.problem.case import AnyCase, as_case
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.model import LinearGrowth
 from hjprofile.problem.ranges import instance
@@ -71,28 +72,84 @@ class Reference(NamedTuple):
     at: Callable[[Grid], tuple[Array, Array]]
 
 
-def chart(
-    case: str, problem: Problem, grid: Grid, cfl: float = 0.9, progress: Callable[[float], None] | None = None
-) -> tuple[list[Point], Reference]:
-    """Run every method at several resolutions; each point has the median seconds of three runs.
+@dataclass(frozen=True)
+class Chart:
+    """Runs of every method on one case, with their errors and seconds; as text, the Pareto front of seconds and error.
 
-    - `case`: the name of the case in the points and in messages.
-    - `problem`: law, profile, end, and the saved times, at which errors are measured.
-    - `grid`: left end of the domain, and the number of cells of the results of characteristics.
-    - `cfl`: the time step as a fraction of the largest one that each method admits.
-    - `progress`: a function that is called with the completed fraction in [0, 1].
-
-    Return the points and the reference. Seconds are those of the time stepping alone, without compilation and output.
-    Errors are sup|u - u_exact| and ∫|q - q_exact| dx, the largest of all saved times. Methods that break down at a
-    resolution are omitted there. Raise InputError if the end is 0, if a coefficient is prescribed, or if the slope is
-    neutral at all of these times after the start. Raise RunError if no method reaches the end.
+    Attributes:
+        case: the name of the case.
+        points: the runs.
+        reference: the solution relative to which errors are measured.
 
     >>> import hjprofile as hj
-    >>> problem = hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0)
-    >>> points, reference = hj.chart("one kink", problem, hj.Grid(left=-5.0, cells=400))  # doctest: +SKIP
-    >>> reference.name  # doctest: +SKIP
+    >>> hj.chart("travelling_kink").pareto[-1].method  # doctest: +SKIP
+    'characteristics'
+    """
+
+    case: str
+    points: tuple[Point, ...]
+    reference: Reference
+
+    @property
+    def pareto(self) -> list[Point]:
+        """The points that no other exceeds in both speed and accuracy of q, from the fastest to the most exact."""
+        return pareto(self.points)
+
+    def __str__(self) -> str:
+        known = ""
+        if self.reference.error:
+            known = f" (errors of u {self.reference.error:.1g}, of q {self.reference.error_q:.1g})"
+        return "\n".join(
+            [
+                f"{self.case}: {len(self.points)} runs; reference: {self.reference.name}{known}. "
+                "Pareto front of seconds and error:",
+                *(self._line(point) for point in self.pareto),
+            ]
+        )
+
+    def _line(self, p: Point) -> str:
+        """Return a point as text, with `<` before an error that is not above the error of the reference."""
+        q = f"{'<' * bool(p.error_q_l1 <= self.reference.error_q):>1}{p.error_q_l1:7.1e}"
+        u = f"{'<' * bool(p.error_u_sup <= self.reference.error):>1}{p.error_u_sup:7.1e}"
+        return f"  {p.method:22} {p.cells:6}  {q} of q  {u} of u  {p.seconds:.2g} s"
+
+    def report(self) -> dict[str, Any]:
+        """Return the results as a document for scripts."""
+        reference = {"reference": self.reference.name, "reference_error": self.reference.error}
+        points = {"points": [p._asdict() for p in self.points], "pareto": [p._asdict() for p in self.pareto]}
+        return {"case": self.case} | reference | {"reference_error_q": self.reference.error_q} | points
+
+
+def chart(case: AnyCase, progress: Callable[[float], None] | None = None) -> Chart:
+    """Run every method at several resolutions on a case; each point has the median seconds of three runs.
+
+    Seconds are those of the time stepping alone, without compilation and output. Errors are sup|u - u_exact| and
+    ∫|q - q_exact| dx, the largest of all saved times. Methods that break down at a resolution are omitted there.
+
+    Args:
+        case: a `Case`, the path of a case file, the name of a shipped case, or the tables of a case file.
+        progress: a function that is called with the completed fraction in [0, 1].
+
+    Returns:
+        The points and the reference. Printed, they are the Pareto front of seconds and error.
+
+    Raises:
+        InputError: for invalid input, if the end is 0, if a coefficient is prescribed, for a rolling layer, or if the
+            slope is neutral at all saved times after the start.
+        RunError: if no method reaches the end.
+
+    >>> import hjprofile as hj
+    >>> hj.chart("travelling_kink").reference.name  # doctest: +SKIP
     'the closed form'
     """
+    case = as_case(case)
+    return chart_of(case.name, case.problem, case.grid, case.cfl, progress)
+
+
+def chart_of(
+    case: str, problem: Problem, grid: Grid, cfl: float = 0.9, progress: Callable[[float], None] | None = None
+) -> Chart:
+    """Run every method at several resolutions on a problem, as `chart`; `case` is its name in points and messages."""
     instance("problem", problem, Problem)
     instance("grid", grid, Grid)
     if not problem.end > 0.0:
@@ -131,7 +188,7 @@ def chart(
                 break
     if not points:
         raise RunError(f"{case}: no method reaches the end; `hjprofile run {case}` reports the reason")
-    return points, reference
+    return Chart(case, tuple(points), reference)
 
 
 Ladder = Sequence[tuple[int, Callable[[], Run]]]

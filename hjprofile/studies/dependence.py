@@ -29,6 +29,7 @@ from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.given import profile
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.ranges import instance
+from hjprofile.problem.schema import with_origin
 from hjprofile.solvers.method import Feature, require, requirements
 from hjprofile.solvers.methods import METHODS
 from hjprofile.solvers.run import Array, Breakdown, Halt, Run
@@ -84,11 +85,13 @@ class Dependence:
     """Results of the study.
 
     Attributes:
+        case: the name of the problem.
         rows: the distances, by pair and time.
         found: a sentence on each study.
         violated: a sentence on a distance that exceeds its bound, or "".
     """
 
+    case: str
     rows: tuple[Distance, ...]
     found: tuple[str, ...]
     violated: str
@@ -130,9 +133,10 @@ def dependence(
     """
     instance("problem", problem, Problem)
     instance("name", name, str)
-    rows = distances_of(name or problem.title or "the problem", problem, grid, progress)
+    case = name or problem.title or "the problem"
+    rows = distances_of(case, problem, grid, progress)
     found, violated = summary(rows)
-    return Dependence(tuple(rows), tuple(found), violated)
+    return Dependence(case, tuple(rows), tuple(found), violated)
 
 
 def distances_of(
@@ -268,7 +272,7 @@ class _Study:
         given = self.problem.coefficient or tabulated(self.base.time, self.base.x, self.base.K)
         waves = [self.waves() for _ in range(WAVES)]
         for member, (part, wave) in enumerate(product(PARTS, waves), start=1):
-            disturbed = replace(given, function=_times(given.function, part, wave), steady=False, content=None)
+            disturbed = with_origin(given, function=_times(given.function, part, wave), steady=False, content=None)
             pair = (replace(self.problem, coefficient=k) for k in (given, disturbed))
             first, other = self.solve(*pair)
             yield self.rows("coefficient", member, first, other, part)

@@ -9,14 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from hjprofile.errors import InputError
 from hjprofile.problem import Problem
-from hjprofile.problem.case import Case, load_case
+from hjprofile.problem.case import AnyCase, as_case
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.ranges import instance
 from hjprofile.solvers.grids.bounds_monitor import HIGHER_ORDER, LOCAL, MONOTONE, BoundsMonitor, Guarantees
@@ -157,14 +156,14 @@ class Stability:
         return "\n".join(lines)
 
 
-def stability(case: Case | str | Path, progress: Callable[[float], None] | None = None) -> Stability:
+def stability(case: AnyCase, progress: Callable[[float], None] | None = None) -> Stability:
     """Scan the limits of stability of each method on a grid, on one case.
 
     The scan varies the CFL number, viscosity, age of K, reconstruction, smallness of 1 + q, size of ∫f and truncation,
     on a grid of 400 cells. It takes about a minute.
 
     Args:
-        case: a `Case`, the path of a case file, or the name of a shipped case.
+        case: a `Case`, the path of a case file, the name of a shipped case, or the tables of a case file.
         progress: a function that is called with the completed fraction in [0, 1].
 
     Returns:
@@ -178,7 +177,7 @@ def stability(case: Case | str | Path, progress: Callable[[float], None] | None 
     >>> hj.stability("travelling_kink").limits["godunov"][2]  # doctest: +SKIP
     1.0
     """
-    case = case if isinstance(case, Case) else load_case(case)
+    case = as_case(case)
     return Stability(case.name, tuple(scan(case.name, case.problem, case.grid, progress)))
 
 

@@ -17,6 +17,7 @@ from hjprofile.errors import InputError
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.ranges import instance
+from hjprofile.problem.units import Units
 from hjprofile.solvers.method import Feature, require, requirements
 from hjprofile.studies.characteristic_statements import INVARIANT, WORDS, Characteristics, follow
 from hjprofile.studies.statement_runs import FractionalStep, History, evolve, freeze
@@ -89,14 +90,18 @@ class Statements:
     """Results of the study.
 
     Attributes:
+        case: the name of the case.
         rows: all values and bounds, by statement and time.
         results: one for each statement.
         characteristics: the characteristics that were followed, as a table.
+        units: the units of a survey, else None.
     """
 
+    case: str
     rows: tuple[StatementRow, ...]
     results: tuple[StatementResult, ...]
     characteristics: Characteristics
+    units: Units | None = None
 
     @property
     def holds(self) -> bool:
@@ -108,7 +113,9 @@ class Statements:
         return next(result for result in self.results if result.statement == statement)
 
 
-def statements(problem: Problem, grid: Grid, progress: Callable[[float], None] | None = None) -> Statements:
+def statements(
+    problem: Problem, grid: Grid, progress: Callable[[float], None] | None = None, name: str = ""
+) -> Statements:
     """Evaluate statements of the source paper for a problem, with the constants that it leaves generic.
 
     The method is the upwind scheme on the given grid, in time steps that are short enough for it to be monotone. The
@@ -118,6 +125,7 @@ def statements(problem: Problem, grid: Grid, progress: Callable[[float], None] |
         problem: slow erosion on the half line, with K or with a prescribed coefficient.
         grid: the grid.
         progress: a function that is called with the completed fraction in [0, 1].
+        name: the name of the case in tables and pictures; the title of the problem by default.
 
     Returns:
         The values and bounds of each statement, a result for each, and the characteristics.
@@ -147,7 +155,8 @@ def statements(problem: Problem, grid: Grid, progress: Callable[[float], None] |
     characteristics = follow(problem, grid, part(2))
     found = [*_on_the_slope(history, frozen), *_on_characteristics(characteristics, history.nonlocal_)]
     rows = tuple(row for mine, _ in found for row in mine)
-    return Statements(rows, tuple(result for _, result in found), characteristics)
+    results = tuple(result for _, result in found)
+    return Statements(name or problem.title, rows, results, characteristics, problem.profile.units)
 
 
 def _on_the_slope(

@@ -10,7 +10,6 @@ from hjprofile.output.plots.animation import animation
 from hjprofile.output.plots.comparison import draw_comparison
 from hjprofile.output.plots.norm_panels import draw_norms
 from hjprofile.output.plots.runs import draw_diagram, draw_factor, draw_profiles
-from hjprofile.problem.survey_import import import_survey
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 FIGURES = DOCS / "figures"
@@ -23,10 +22,8 @@ def raw_export():
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / "export.txt"
         source.write_text(text, encoding="utf-8")
-        made = import_survey(source, "export.csv", "export", critical_slope=0.36, length=12.0)
-        (Path(folder) / "export.csv").write_text(made.csv, encoding="utf-8")
-        (Path(folder) / "export.toml").write_text(made.case, encoding="utf-8")
-        case = hj.load_case(Path(folder) / "export.toml", {"solver.method": "auto", "solver.tolerance": 1e-3})
+        made = hj.import_survey(source, Path(folder) / "export.toml", critical_slope=0.36, length=12.0)
+        case = hj.load_case(made.case, {"solver.method": "auto", "solver.tolerance": 1e-3})
         return hj.solve_case(case)
 
 

@@ -213,7 +213,7 @@ def test_bad_arguments(folder, capsys, arguments, words):
 @pytest.mark.parametrize("out", ["occupied", "occupied/below", "/proc/hjprofile"])
 def test_no_place_to_write(folder, capsys, monkeypatch, command, out):
     """It is found out before anything is solved."""
-    monkeypatch.setattr("hjprofile.solvers.solve.solve_case", None)
+    monkeypatch.setattr("hjprofile.solvers.solve.solve_and_keep", None)
     monkeypatch.setattr("hjprofile.studies.consistency.check_consistency", None)
     if out.startswith("/proc") and not Path("/proc/self").exists():
         pytest.skip("needs a folder in which not even root may write")

@@ -19,7 +19,6 @@ from grid_methods import TWINS, with_fault
 
 import hjprofile
 from hjprofile.cli.common import Progress, app
-from hjprofile.cli.studies import _point
 from hjprofile.output.checkpoint import NAME, Checkpoint
 from hjprofile.output.plots import statement_pictures
 from hjprofile.output.run_account import run_account, with_error
@@ -27,10 +26,10 @@ from hjprofile.output.store import load_run
 from hjprofile.problem.case import load_case
 from hjprofile.problem.case_files import shipped_cases
 from hjprofile.solvers.methods import METHODS
-from hjprofile.solvers.solve import solve_case
+from hjprofile.solvers.solve import solve_and_keep, solve_case
 from hjprofile.studies import characteristic_statements, dependence, statement_runs, statement_table, statements
 from hjprofile.studies import stability as study
-from hjprofile.studies.chart import Point, Reference
+from hjprofile.studies.chart import Chart, Point, Reference
 
 SCENE = {
     "title": "Zwei Knicke",
@@ -310,8 +309,8 @@ def test_a_resumed_run_says_so(folder, call):
     case = load_case("bare.toml")
     keeper = Checkpoint(Path("results/bare"), 1e9, resume=False)
     with pytest.raises(hjprofile.RunError, match="interrupted at t ="):
-        solve_case(
-            case, lambda fraction: fraction < 0.5 or keeper.asked or os.kill(os.getpid(), signal.SIGTERM), keeper=keeper
+        solve_and_keep(
+            case, keeper, lambda fraction: fraction < 0.5 or keeper.asked or os.kill(os.getpid(), signal.SIGTERM)
         )
     code, out, _ = call("run", "bare.toml", "--resume")
     assert code == 0 and "  resumed     from the checkpoint at t = " in out
@@ -370,7 +369,7 @@ def test_check_passes(folder, call):
     (case,) = content["cases"]
     assert (case["case"], case["title"], case["passes"], content["passes"]) == ("short", "Kurz", True, True)
     lines = out.splitlines()
-    assert lines[0] == "short: passes" and lines[-1] == "written to results/short/check.json"
+    assert lines[0] == "short: passes" and lines[-1] == "written to results/short: check.json"
     kinds = {"bounds", "identity", "independence", "kinks", "budget", "characteristics", "order"}
     kinds |= {f"saved-{what}" for what in ("times", "q", "K", "kinks", "events", "crest_lowering", "volume")}
     assert {c["name"].split(":")[0] for c in case["comparisons"]} == kinds
@@ -414,7 +413,7 @@ def test_what_stops_a_run_from_outside(folder, call, monkeypatch, raised, words)
     def stopped(*_):
         raise raised
 
-    monkeypatch.setattr("hjprofile.solvers.solve.solve_case", stopped)
+    monkeypatch.setattr("hjprofile.solvers.solve.solve_and_keep", stopped)
     code, out, err = call("run", "scene.toml")
     assert (code, out, err.count("\n")) == (1, "", 1) and words in err
     assert not contents("results")
@@ -570,4 +569,4 @@ def test_an_error_equal_to_that_of_the_reference_is_marked():
     """Errors of numpy compare to numpy's booleans."""
     point = Point("case", "fronts", 100, np.float64(1e-12), np.float64(2e-9), 0.1, 10)
     reference = Reference("characteristics", np.float64(1e-12), np.float64(1e-10), lambda grid: None)
-    assert "  2.0e-09 of q  <1.0e-12 of u" in _point(point, reference).replace("100 ", "")
+    assert "  2.0e-09 of q  <1.0e-12 of u" in str(Chart("case", (point,), reference)).replace("100 ", "")

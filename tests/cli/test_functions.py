@@ -1,14 +1,17 @@
 """Every command has its function in Python, and both return the same."""
 
 import csv
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 
 import hjprofile as hj
+from hjprofile.cli.common import app
 from hjprofile.solvers.closed_forms import closed_form
-from hjprofile.studies import dependence, stability
+from hjprofile.studies import chart, dependence, stability
 
 
 @pytest.fixture
@@ -66,3 +69,70 @@ def test_explain(call):
     for wrong in ("nonsense", 3):
         with pytest.raises(hj.InputError, match="heading"):
             hj.explain(wrong)
+
+
+def test_a_study_from_python_has_the_files_of_its_command(small, in_tmp, call):
+    """Same names, and the same tables where they hold no run times."""
+    case = hj.load_case("two_kinks", {"domain.cells": 200, "time.end": 0.5, "time.snapshots": 5})
+    Path("case.toml").write_text(tomli_w.dumps(hj.solve_case(case).case))
+    case = hj.load_case("case.toml")
+    grid = case.grid
+    for command, study in (
+        ("check", hj.check(case)),
+        ("dependence", hj.dependence(case.problem, grid, name=case.name)),
+        ("statements", hj.statements(case.problem, grid, name=case.name)),
+    ):
+        assert call(command, "case.toml", "--out", f"by command/{command}")[0] == 0
+        files = hj.write_study(study, f"by function/{command}")
+        assert files == sorted(files, key=files.index) and files
+        for file in files:
+            other = Path("by command") / command / file.name
+            assert file.suffix == ".png" or file.read_bytes() == other.read_bytes()
+        assert {f.name for f in files} == {f.name for f in other.parent.iterdir()} - {".hjprofile.json"}
+
+
+def test_studies_that_are_written_into_a_folder_of_something_else(in_tmp):
+    """Nothing that belongs to another case is removed."""
+    problem = hj.Problem(hj.rational(), hj.kinks([-2.0], [1.0]), end=0.1, snapshots=3)
+    run = hj.solve_hj(problem, hj.Grid(-4.0, 40))
+    hj.write_run(run, "folder", vtk=False, plots=False)
+    before = {p.name for p in Path("folder").iterdir()}
+    found = chart.Chart("a", (), chart.Reference("r", 0.0, 0.0, None))
+    with pytest.raises(hj.InputError, match=r"folder belongs to another result that was written from Python"):
+        hj.write_study(found, "folder")
+    assert {p.name for p in Path("folder").iterdir()} == before
+    for wrong in (run, 3, [found, run], []):
+        with pytest.raises(hj.InputError, match=r"study = .* must be a result of check, chart"):
+            hj.write_study(wrong, "folder")
+
+
+def test_import(in_tmp, call):
+    """The function and the command write the same two files."""
+    Path("gps.txt").write_text("dist;elev\n0;10,0\n5;12,5\n10;16,0\n20;20,0\n")
+    code, out, _ = call("import", "gps.txt", "--length", "4", "--out", "a.toml", "--to", "10")
+    made = hj.import_survey("gps.txt", "b.toml", length=4.0, to=10.0)
+    assert code == 0 and out.startswith("\n".join(made.account)) and made.survey == Path("b.csv")
+    assert Path("a.csv").read_bytes() == Path("b.csv").read_bytes()
+    assert Path("a.toml").read_text().replace('"a.csv', '"b.csv').replace('"a"', '"b"') == Path("b.toml").read_text()
+    with pytest.raises(hj.InputError, match=r"b\.toml exists, and import replaces no file"):
+        hj.import_survey("gps.txt", "b.toml")
+    for wrong, words in (
+        ({"uphill": "up"}, "uphill = 'up' is not known"), ({"unit": "m"}, "unit is not an option"),
+        ({"length": "long"}, "length = 'long'"), ({"nodata": "none"}, "nodata = 'none' must be"),
+    ):  # fmt: skip
+        with pytest.raises(hj.InputError, match=words):
+            hj.import_survey("gps.txt", "c.toml", **wrong)
+    assert not Path("c.toml").exists() and not Path("c.csv").exists()
+
+
+def test_the_table_of_the_page_has_a_function_for_every_command():
+    page = (Path(hj.__file__).parents[1] / "docs" / "api.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| `(\w+)` \| (`.*) \|$", page, re.M))
+    commands = {name for name in app if not name.startswith("-")}
+    assert set(rows) == commands
+    for functions in rows.values():
+        for name in re.findall(r"`([\w.]+)`", functions):
+            thing = hj
+            for part in name.split("."):
+                thing = getattr(thing, part)
+            assert callable(thing), name

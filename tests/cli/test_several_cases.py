@@ -4,7 +4,9 @@ import json
 import re
 import sys
 import tomllib
+from importlib.machinery import ModuleSpec
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 import tomli_w
@@ -98,7 +100,7 @@ def test_an_interruption_stops_all(cases, call, monkeypatch):
     def interrupted(*_):
         raise hj.RunError("interrupted at t = 1", "interrupted")
 
-    monkeypatch.setattr("hjprofile.solvers.solve.solve_case", interrupted)
+    monkeypatch.setattr("hjprofile.solvers.solve.solve_and_keep", interrupted)
     code, out, err = call("run", "a.toml", "b.toml")
     assert (code, out, err.count("\n")) == (1, "", 1) and "interrupted at t = 1" in err
 
@@ -107,14 +109,14 @@ def test_an_interruption_stops_all(cases, call, monkeypatch):
 def test_other_failures_stop_only_their_case(cases, call, monkeypatch, error):
     from hjprofile.solvers import solve
 
-    honest = solve.solve_case
+    honest = solve.solve_and_keep
 
     def failing(case, *more):
         if case.name == "a":
             raise error
         return honest(case, *more)
 
-    monkeypatch.setattr(solve, "solve_case", failing)
+    monkeypatch.setattr(solve, "solve_and_keep", failing)
     code, out, err = call("run", "a.toml", "b.toml")
     assert (code, err.count("\n")) == (1, 1) and out.strip().startswith("B\n")
 
@@ -173,7 +175,7 @@ def test_a_quiet_command_prints_failures_only(cases, call):
 
 
 def test_validate_reports_all_faults_of_all_files(cases, call, monkeypatch):
-    monkeypatch.setattr("hjprofile.solvers.solve.solve_case", None)
+    monkeypatch.setattr("hjprofile.solvers.solve.solve_and_keep", None)
     write_case("unfit", solver={"method": "auto"})
     code, out, err = call("validate", *cases, "unfit.toml")
     assert code == 2 and [line.split(":")[0] for line in out.splitlines()] == ["a.toml", "stops.toml", "b.toml"]
@@ -289,16 +291,12 @@ def test_a_notebook_has_a_bar(in_tmp, monkeypatch, capsys, recwarn, installed):
     """If it has widgets, which rich needs; else lines, and no warning."""
     monkeypatch.setitem(sys.modules, "ipykernel", sys)
     monkeypatch.setattr("rich.console.Console", Notebook)
-    for name in ("ipywidgets", "IPython", "IPython.display"):  # those of this environment are not used
-        monkeypatch.setitem(sys.modules, name, None)
-        if installed:
-            del sys.modules[name]
-    if installed:
-        Path("IPython").mkdir()
-        Path("IPython/__init__.py").touch()
-        Path("IPython/display.py").write_text("def display(*_, **__): pass\n")
-        Path("ipywidgets.py").write_text(WIDGETS)
-        monkeypatch.syspath_prepend(str(in_tmp))
+    shell = {name: ModuleType(name) for name in ("IPython", "IPython.display", "ipywidgets")}
+    shell["IPython.display"].display = lambda *_, **__: None
+    exec(WIDGETS, vars(shell["ipywidgets"]))
+    for name, module in shell.items():  # in the place of those that may be installed
+        module.__spec__ = ModuleSpec(name, None)
+        monkeypatch.setitem(sys.modules, name, module if installed else None)
     with Progress("solving", solves=False) as progress:
         progress.started -= 100.0
         progress.last_line -= 100.0
@@ -307,8 +305,6 @@ def test_a_notebook_has_a_bar(in_tmp, monkeypatch, capsys, recwarn, installed):
     assert not recwarn.list
     if installed:
         assert sys.modules["ipywidgets"].Output.shown
-        for name in ("ipywidgets", "IPython", "IPython.display"):
-            del sys.modules[name]
     assert ("solving: 50% after 100 s" in capsys.readouterr().err) != installed
 
 

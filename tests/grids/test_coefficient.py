@@ -18,6 +18,8 @@ from hjprofile.solvers.grids.bounds_monitor import FOR_ANY_FACTOR, BoundsMonitor
 from hjprofile.solvers.grids.factor import Factor
 from hjprofile.solvers.grids.grid_law import grid_law
 from hjprofile.solvers.run import Breakdown
+from hjprofile.studies.chart import chart_of
+from hjprofile.studies.stability import scan
 
 METHODS = GRID_METHODS
 CELLS = (200, 400, 800, 1600)
@@ -288,8 +290,7 @@ def test_fronts_and_characteristics_refuse(tmp_path):
     ):
         hj.solve(problem, 1e-3)
     with pytest.raises(hj.InputError, match="needs the exact solution, does not take a prescribed coefficient"):
-        hj.chart("case", problem, hj.Grid(-5.0, 400))
-    from hjprofile.studies.stability import scan
+        chart_of("case", problem, hj.Grid(-5.0, 400))
 
     with pytest.raises(hj.InputError, match="stability does not take a prescribed coefficient"):
         scan("case", problem, hj.Grid(-5.0, 400))

@@ -238,9 +238,10 @@ def test_other_methods_refuse_a_layer(method, tmp_path):
 
 def test_evidence_about_the_limit_refuses_a_layer_in_a_sentence():
     problem, grid = hj.Problem(hj.rational(), KINK, end=1.0, supply_flux=0.1), hj.Grid(-8.0, 100)
+    from hjprofile.studies.chart import chart_of
     from hjprofile.studies.stability import scan
 
-    for call in (hj.check_consistency, lambda p, g: hj.chart("one", p, g), lambda p, g: scan("one", p, g)):
+    for call in (hj.check_consistency, lambda p, g: chart_of("one", p, g), lambda p, g: scan("one", p, g)):
         with pytest.raises(hj.InputError, match="does not take a rolling layer"):
             call(problem, grid)
 

@@ -20,7 +20,7 @@ from hjprofile.output.checkpoint import NAME, Checkpoint
 from hjprofile.output.folder import RECORD
 from hjprofile.problem.case import parse_case
 from hjprofile.problem.identity import identity
-from hjprofile.solvers.solve import solve_case
+from hjprofile.solvers.solve import solve_and_keep, solve_case
 
 KEPT = {"solver__refresh": 0.9}  # a factor that is kept across saved times and checkpoints
 PRESCRIBED = {"coefficient__kind": "expression", "coefficient__expression": "exp(-0.2*x)*(1 + 0.1*t)"}
@@ -47,9 +47,9 @@ def test_every_method_goes_on_bit_for_bit(method, changes, tmp_path):
     for lots in (3, 3, 5):  # the second and third stop a run that was resumed
         keeper = Checkpoint(tmp_path, 1e9, resume=True)
         with pytest.raises(hj.RunError, match=r"interrupted at t = .*--resume continues from it"):
-            solve_case(case, Stop(keeper, lots), keeper=keeper)
+            solve_and_keep(case, keeper, Stop(keeper, lots))
     again = Checkpoint(tmp_path, 1e-9, resume=True)
-    assert fingerprint(solve_case(case, keeper=again)) == whole
+    assert fingerprint(solve_and_keep(case, again)) == whole
     assert again.resumed_at >= 0.0
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL  # as it was
 
@@ -58,7 +58,7 @@ def kept(folder, case):
     """A checkpoint of an interrupted run."""
     keeper = Checkpoint(folder, 1e9, resume=False)
     with pytest.raises(hj.RunError):
-        solve_case(case, Stop(keeper, 6), keeper=keeper)
+        solve_and_keep(case, keeper, Stop(keeper, 6))
     return folder / NAME
 
 
@@ -74,7 +74,7 @@ def kept(folder, case):
 def test_a_checkpoint_of_another_run_is_refused(change, words, tmp_path):
     kept(tmp_path, case_of("godunov"))
     with pytest.raises(hj.InputError, match="is of another run: " + words):
-        solve_case(case_of("godunov", **change), keeper=Checkpoint(tmp_path, 1.0, resume=True))
+        solve_and_keep(case_of("godunov", **change), Checkpoint(tmp_path, 1.0, resume=True))
 
 
 def test_a_law_that_was_edited_is_another_run(in_tmp):
@@ -84,7 +84,7 @@ def test_a_law_that_was_edited_is_another_run(in_tmp):
     Path("law.py").write_text("def f(q):\n    return 2 * q / (1 + q)\n")
     edited = parse_case(CONTENT | {"erosion": law}, "scene", "scene.toml", in_tmp)
     with pytest.raises(hj.InputError, match="the data that the case names have changed"):
-        solve_case(edited, keeper=Checkpoint(in_tmp, 1.0, resume=True))
+        solve_and_keep(edited, Checkpoint(in_tmp, 1.0, resume=True))
 
 
 def test_a_coefficient_that_was_edited_between_its_ends_in_time_is_another_run(in_tmp):
@@ -97,12 +97,12 @@ def test_a_coefficient_that_was_edited_between_its_ends_in_time_is_another_run(i
         kept(in_tmp, parse_case(content, "scene", "scene.toml", in_tmp))
         unchanged = parse_case(content, "scene", "scene.toml", in_tmp)
         keeper = Checkpoint(in_tmp, 1e9, resume=True)
-        assert solve_case(unchanged, keeper=keeper).done and keeper.resumed_at > 0.0
+        assert solve_and_keep(unchanged, keeper).done and keeper.resumed_at > 0.0
         Path("beside_k.py").write_text("def swell(t):\n    return t * (4 - t)\n")
         edited = parse_case(content, "scene", "scene.toml", in_tmp)
         assert float(edited.problem.coefficient.values(1.0, -1.0)) == 4.0  # the module as it is now
         with pytest.raises(hj.InputError, match="the data that the case names have changed"):
-            solve_case(edited, keeper=Checkpoint(in_tmp, 1.0, resume=True))
+            solve_and_keep(edited, Checkpoint(in_tmp, 1.0, resume=True))
     finally:
         sys.path.remove(str(in_tmp))
         sys.modules.pop("beside_k", None)
@@ -112,7 +112,7 @@ def test_a_changed_package_is_another_run(tmp_path, monkeypatch):
     kept(tmp_path, case_of("godunov"))
     monkeypatch.setattr("hjprofile.problem.identity._package", lambda: "another")
     with pytest.raises(hj.InputError, match=r"is of another run: hjprofile = .* there, .*another.* here"):
-        solve_case(case_of("godunov"), keeper=Checkpoint(tmp_path, 1.0, resume=True))
+        solve_and_keep(case_of("godunov"), Checkpoint(tmp_path, 1.0, resume=True))
 
 
 @pytest.mark.parametrize("part", ["law", "profile", "coefficient"])
@@ -127,7 +127,7 @@ def test_functions_of_no_file_keep_no_checkpoints(part, tmp_path):
     case = replace(case, problem=replace(case.problem, **{part: given[part]}))
     assert solve_case(case).done
     with pytest.raises(hj.InputError, match=f"scene.toml: the {part} is a Python function that is in no file"):
-        solve_case(case, keeper=Checkpoint(tmp_path, 1.0, resume=False))
+        solve_and_keep(case, Checkpoint(tmp_path, 1.0, resume=False))
 
 
 def test_windows_of_the_whole_line_are_told_apart(in_tmp):
@@ -163,7 +163,7 @@ def test_damaged_checkpoints_are_refused_in_a_sentence(tmp_path):
             data[at : at + rng.randint(0, 50)] = rng.randbytes(rng.randint(1, 50))
         path.write_bytes(data)
         try:
-            run = solve_case(case, keeper=Checkpoint(tmp_path, 1e9, resume=True))
+            run = solve_and_keep(case, Checkpoint(tmp_path, 1e9, resume=True))
         except hj.InputError as error:
             assert "\n" not in str(error) and str(path) in str(error)
             outcomes.add("refused")
@@ -178,7 +178,7 @@ def test_a_checkpoint_holds_no_code(tmp_path):
     path = kept(tmp_path, case_of("godunov"))
     np.savez(path, identity=np.array([object()], dtype=object))
     with pytest.raises(hj.InputError, match="is damaged"):
-        solve_case(case_of("godunov"), keeper=Checkpoint(tmp_path, 1.0, resume=True))
+        solve_and_keep(case_of("godunov"), Checkpoint(tmp_path, 1.0, resume=True))
 
 
 def run_once(folder, *options, kill_after=None, how=signal.SIGKILL):

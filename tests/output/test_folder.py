@@ -10,6 +10,7 @@ import hjprofile as hj
 from hjprofile.errors import InputError
 from hjprofile.output.checkpoint import NAME
 from hjprofile.output.folder import RECORD, Owner, ResultFolder, owner_of
+from hjprofile.studies.verdict import Consistency
 
 CASE = {
     "title": "A kink",
@@ -36,12 +37,7 @@ def names(folder):
 @pytest.fixture
 def stand_ins(monkeypatch):
     """Studies that take no time: their files are at stake here."""
-    verdict = type(
-        "Verdict",
-        (),
-        {"case": "case", "passes": True, "verdict": "passes", "report": dict, "__str__": lambda self: "passes"},
-    )
-    monkeypatch.setattr("hjprofile.studies.consistency.check", lambda case, progress: verdict())
+    monkeypatch.setattr("hjprofile.studies.consistency.check", lambda case, progress: Consistency("case", "Case", ()))
     monkeypatch.setattr("hjprofile.output.workers.processes", lambda count: __import__("contextlib").nullcontext())
     undrawn(monkeypatch)
 
@@ -136,7 +132,7 @@ def test_a_run_that_does_not_start_leaves_the_older_one(in_tmp, call, monkeypatc
         raise KeyboardInterrupt
 
     write_case("case.toml", time={"end": 0.15, "snapshots": 2})
-    monkeypatch.setattr("hjprofile.solvers.solve.solve_case", stopped)
+    monkeypatch.setattr("hjprofile.solvers.solve.solve_and_keep", stopped)
     assert call("run", "case.toml")[0] == 1
     assert names("results/case") == before and hj.load_run("results/case").time[-1] == 0.1
 

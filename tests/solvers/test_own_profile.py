@@ -73,3 +73,36 @@ def test_it_is_checked():
         hj.solve_hj(hj.Problem(hj.rational(), OWN, 0.5), hj.Grid(-4.0, 40))
     with pytest.raises(hj.InputError, match="does not rise"):
         hj.solve_hj(hj.Problem(hj.rational(), Tent(-5.0, -3.0, -1.5), 0.5), GRID)
+
+
+class Wrong(Tent):
+    """A tent with a mistake in one part; `mistake` is the factor of `excess`, or of one side of the jump."""
+
+    def __init__(self, mistake, part):
+        super().__init__(-5.0, -3.0, 1.5)
+        self.mistake, self.part = mistake, part
+
+    def excess(self, x, law):
+        return super().excess(x, law) * (self.mistake if self.part == "excess" else 1.0)
+
+    def breaks(self, law):
+        rows = super().breaks(law)
+        if self.part == "breaks":
+            rows[1, 1] *= self.mistake
+        return rows
+
+
+@pytest.mark.parametrize("part", ["excess", "breaks"])
+@pytest.mark.parametrize("solver", SOLVERS.values(), ids=SOLVERS)
+def test_parts_that_contradict_each_other(solver, part):
+    """Half, twice, or 5 % more than the slope of W: fronts would solve one profile, and grids another."""
+    for mistake in (0.5, 2.0, 1.05):
+        problem = hj.Problem(hj.rational(), Wrong(mistake, part), 0.5, 3)
+        with pytest.raises(hj.InputError, match=rf"contradict each other near x = -[345]\S*: {part} gives q = "):
+            solver(problem, GRID)
+
+
+def test_parts_that_agree_are_accepted_at_any_scale():
+    """Also where the steps of the test do not resolve W."""
+    for width in (2.0, 1e-2, 1e-4, 1e-6, 1e-9):
+        hj.Problem(hj.rational(), Tent(-3.0 - width, -3.0, 1.5), 0.5, 3).check(GRID)

@@ -15,7 +15,7 @@ import hjprofile as hj
 from hjprofile import cli
 from hjprofile.solvers.methods import METHODS
 from hjprofile.studies import chart as charts
-from hjprofile.studies.chart import Point, pareto, seconds_to
+from hjprofile.studies.chart import Point, chart_of, pareto, seconds_to
 
 KINK = hj.Problem(hj.rational(), hj.kinks([-2.0], [1.0]), end=0.5)
 SMOOTH = hj.Problem(hj.log(), hj.bumps([0.5], [-2.0], [0.3]), end=0.2)
@@ -31,11 +31,12 @@ def few_and_coarse(monkeypatch):
 
 @cache
 def smooth_chart():
-    return hj.chart("smooth", SMOOTH, hj.Grid(-4.0, 200))
+    return chart_of("smooth", SMOOTH, hj.Grid(-4.0, 200))
 
 
 def test_every_method_is_on_it():
-    points, reference = smooth_chart()
+    found = smooth_chart()
+    points, reference = found.points, found.reference
     assert {p.method for p in points} == set(METHODS) - {"auto"}
     assert reference.name == "characteristics" and 0.0 < reference.error <= 1e-9
     for method in {p.method for p in points}:
@@ -48,7 +49,8 @@ def test_every_method_is_on_it():
 
 def test_errors_are_what_they_are_called():
     """On the travelling kink, against its closed form; fronts and characteristics are exact there."""
-    points, reference = hj.chart("kink", KINK, hj.Grid(-3.0, 150))
+    found = chart_of("kink", KINK, hj.Grid(-3.0, 150))
+    points, reference = found.points, found.reference
     assert (reference.name, reference.error) == ("the closed form", 0.0)
     exact = charts.closed_form(KINK)
     (godunov,) = [p for p in points if (p.method, p.cells) == ("godunov", 120)]
@@ -68,7 +70,8 @@ def test_errors_are_those_of_all_saved_times(monkeypatch):
     monkeypatch.setattr(charts, "FRONTS", (50,))
     left = hj.Problem(hj.rational(), hj.kinks([-1.0], [0.5]), end=8.0)  # at t = 1 + (1 - 1/e)/2 = 1.316
     grid = hj.Grid(-2.0, 60)
-    points, _ = hj.chart("left", left, grid)
+    found = chart_of("left", left, grid)
+    points = found.points
     assert min(p.error_q_l1 for p in points if p.method in ("godunov", "lax-friedrichs", "conservative")) > 1e-4
     exact, run = charts.closed_form(left), hj.solve_hj(left, grid, "godunov")
     (godunov,) = [p for p in points if p.method == "godunov"]
@@ -79,14 +82,15 @@ def test_errors_are_those_of_all_saved_times(monkeypatch):
         with pytest.raises(
             hj.InputError, match=r"left: the slope is neutral from the first measurement on, at t = \S+, so every"
         ):
-            hj.chart("left", still, grid)
+            chart_of("left", still, grid)
     with pytest.raises(hj.InputError, match="left: no time after 0 is saved"):
-        hj.chart("left", replace(left, snapshots=[0.0]), grid)
+        chart_of("left", replace(left, snapshots=[0.0]), grid)
 
 
 def test_no_error_is_less_than_the_reference_may_be_off():
     """Characteristics against characteristics: their distance says nothing below what either is known to."""
-    points, reference = smooth_chart()
+    found = smooth_chart()
+    points, reference = found.points, found.reference
     assert 0.0 < reference.error <= reference.error_q <= 1e-10
     exact = [p for p in points if p.method == "characteristics"]
     assert min(p.error_u_sup for p in exact) == reference.error
@@ -98,7 +102,8 @@ def test_no_error_is_less_than_the_reference_may_be_off():
 
 
 def test_a_flux_that_enters_leaves_fronts_out():
-    points, reference = hj.chart("steady", hj.Problem(hj.rational(), hj.steady(0.4), end=0.2), hj.Grid(-2.0, 100))
+    found = chart_of("steady", hj.Problem(hj.rational(), hj.steady(0.4), end=0.2), hj.Grid(-2.0, 100))
+    points, reference = found.points, found.reference
     assert reference.name == "the closed form"
     assert {p.method for p in points} == set(METHODS) - {"auto", "fronts", "inverse", "characteristics"}
 
@@ -109,14 +114,15 @@ def test_fronts_stand_in_for_characteristics(monkeypatch):
 
     monkeypatch.setattr(charts, "solve_characteristics", refuses)
     monkeypatch.setattr(charts, "REFERENCE_FRONTS", 800)
-    points, reference = hj.chart("smooth", SMOOTH, hj.Grid(-4.0, 200))
+    found = chart_of("smooth", SMOOTH, hj.Grid(-4.0, 200))
+    points, reference = found.points, found.reference
     assert reference.name == "800 fronts" and 0.0 < reference.error < 1e-4
     assert "characteristics" not in {p.method for p in points}
 
 
 def test_a_chart_needs_time_to_pass():
     with pytest.raises(hj.InputError, match=r"still: end = 0; a chart needs an end above 0"):
-        hj.chart("still", hj.Problem(hj.rational(), hj.kinks([-2.0], [1.0]), end=0.0), hj.Grid(-3.0, 100))
+        chart_of("still", hj.Problem(hj.rational(), hj.kinks([-2.0], [1.0]), end=0.0), hj.Grid(-3.0, 100))
 
 
 def point(seconds, error, cells=100):

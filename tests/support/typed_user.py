@@ -37,3 +37,23 @@ assert_type(hj.load_run("results"), hj.Run)
 assert_type(hj.fit("hillslope", np.zeros(3), np.zeros(3), ["time.end"]), hj.Calibration)
 print(hj.sweep("two_kinks", {"time.end": [1.0, 2.0]}).quantity("crest_lowering").max())
 assert_type(hj.observed_order([1.0, 2.0], [0.5, 0.25]), float)
+
+
+def low(t: float, state: hj.Snapshot) -> bool:
+    return bool(state.u[-1] < 2.0 and t > 1.0)
+
+
+stopped = hj.solve_hj(problem, grid, callback=low)
+hj.track_fronts(problem, callback=hj.until_kinks(1))
+more = hj.Problem(hj.log(), stopped.restart(), end=1.0)
+print(stopped.at(0.5).q.max(), stopped.sample([-2.0, -1.0]).u.shape, more.profile)
+stopped.plot()
+hj.plot(stopped, kind="flux")
+hj.plot_comparison(runs[0], runs[1]).savefig("apart.png")
+assert_type(hj.chart({"erosion": {"law": "rational"}}), hj.Chart)
+hj.write_study([hj.check(case)], "results/check")
+made = hj.import_survey("gps.txt", length=4.0, uphill="left")
+hj.solve_case(made.case)
+form = hj.exact(problem)
+if form is not None:
+    print(form.u(1.0, grid.nodes))

@@ -13,8 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from hjprofile.errors import InputError
 from hjprofile.output.plots import style
 from hjprofile.output.plots.style import INK, TIMES, TWO_RUNS, styled
+from hjprofile.problem.ranges import instance, shown
 from hjprofile.solvers.run import Array, Run
 from hjprofile.studies.accuracy import Shared, shared
 
@@ -34,6 +36,36 @@ def comparison_pictures(first: Run, second: Run, names: tuple[str, str]) -> dict
     """Return name -> content of `draw_comparison`, as PNG and as SVG."""
     figure = draw_comparison(first, second, names)
     return {f"comparison.{form}": style.encode(figure, form) for form in ("png", "svg")}
+
+
+def plot_comparison(first: Run, second: Run, names: tuple[str, str] = ("first", "second")) -> Figure:
+    """Plot two runs and their differences, as the command `compare` does.
+
+    The panels are the profiles at up to four shared times, the differences of heights and of slopes there, and the
+    largest differences over time, in the unit of the surveys if both runs have units.
+
+    Args:
+        first, second: the runs, comparable as for `compare`.
+        names: their names in the legend.
+
+    Returns:
+        The figure; `savefig` writes it.
+
+    Raises:
+        InputError: for an argument of another type, or for runs that cannot be compared.
+
+    >>> import hjprofile as hj
+    >>> problem = hj.Problem(hj.rational(), hj.kinks([-2.0], [1.0]), end=0.1, snapshots=3)
+    >>> runs = [hj.solve_hj(problem, hj.Grid(-4.0, 40), method) for method in ("godunov", "eno2")]
+    >>> len(hj.plot_comparison(*runs, names=("godunov", "eno2")).axes)
+    6
+    """
+    instance("first", first, Run)
+    instance("second", second, Run)
+    if not (isinstance(names, Sequence) and len(names) == 2 and all(isinstance(name, str) for name in names)):
+        raise InputError(f"names = {shown(names)} must be two texts")
+    figure: Figure = draw_comparison(first, second, (names[0], names[1]))
+    return figure
 
 
 @styled

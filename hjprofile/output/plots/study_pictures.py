@@ -15,7 +15,7 @@ from hjprofile.output.plots.style import DEPOSITED, ERODED, new_figure, png
 from hjprofile.problem.units import UNNAMED
 from hjprofile.solvers.methods import METHODS
 from hjprofile.studies.calibration import Calibration
-from hjprofile.studies.chart import Point, Reference, pareto
+from hjprofile.studies.chart import Chart
 from hjprofile.studies.dependence import Distance, largest_distances, observed_constant
 from hjprofile.studies.stability import FAILS, HOLDS, LOSES, OSCILLATES, Trial
 
@@ -30,18 +30,19 @@ _LOOKS = dict(zip(_DRAWN, cycle(_PALETTE), strict=False))
 
 
 @style.defaults
-def chart_picture(charts: Mapping[str, tuple[Sequence[Point], Reference]]) -> bytes:
+def chart_picture(charts: Sequence[Chart]) -> bytes:
     """Return the PNG of `draw_chart`."""
     return png(draw_chart(charts))
 
 
 @style.defaults
-def draw_chart(charts: Mapping[str, tuple[Sequence[Point], Reference]]) -> Figure:
+def draw_chart(charts: Sequence[Chart]) -> Figure:
     """Draw error against run time, a row for each case: sup|u| on the left, ∫|q| on the right with its Pareto front."""
     figure = new_figure(10.0, 4.6 * len(charts))
     rows = figure.subplots(len(charts), 2, squeeze=False)
     letters = iter("abcdefghijklmnopqrstuvwxyz" * len(charts))
-    for (case, (points, reference)), row in zip(charts.items(), rows, strict=True):
+    for chart, row in zip(charts, rows, strict=True):
+        points, reference = chart.points, chart.reference
         for axes, error, label in zip(
             row,
             ("error_u_sup", "error_q_l1"),
@@ -66,12 +67,12 @@ def draw_chart(charts: Mapping[str, tuple[Sequence[Point], Reference]]) -> Figur
             least = reference.error if error == "error_u_sup" else reference.error_q
             if least > 0.0:
                 axes.axhline(least, color="0.5", lw=0.8, ls="--", label="error of the reference")
-        front = pareto(points)
+        front = chart.pareto
         row[1].step(
             [p.seconds for p in front], [max(p.error_q_l1, 1e-16) for p in front],
             where="post", color="0.25", lw=4.0, alpha=0.25, marker="o", ms=9, label="Pareto front",
         )  # fmt: skip
-        row[0].set_title(f"({next(letters)}) {case}", loc="left", fontweight="bold", parse_math=False)
+        row[0].set_title(f"({next(letters)}) {chart.case}", loc="left", fontweight="bold", parse_math=False)
         row[1].set_title(f"({next(letters)})", loc="left", fontweight="bold")
         against = f"reference: {reference.name}"
         if reference.error > 0.0:

@@ -11,7 +11,7 @@ from hjprofile.problem.grid import Grid
 from hjprofile.problem.ranges import number
 from hjprofile.solvers.data_resolution import cells_resolve
 from hjprofile.solvers.grids.bounds_monitor import BoundsMonitor
-from hjprofile.solvers.grids.kink_tracker import KinkTracker
+from hjprofile.solvers.grids.kink_tracker import KinkTracker, with_kinks
 from hjprofile.solvers.grids.march import NOBODY, march
 from hjprofile.solvers.method import Method
 from hjprofile.solvers.run import Keeper, Monitor, Run
@@ -37,7 +37,8 @@ def solve_on_grid(
     tracker = KinkTracker(problem.law, grid, least=problem.profile.rounding, **hidden)
     watching: dict[str, Monitor] = {"bounds": bounds, "kinks": tracker, **(extension.monitors if extension else {})}
     case = resolved_case(problem, grid, method.name, cfl, refresh=scheme.factor.refresh)
-    record = march(scheme, problem, grid, cfl, watching, progress, tracker.kinks_changed, keeper, identity, callback)
+    shown = None if callback is None else with_kinks(callback, tracker)
+    record = march(scheme, problem, grid, cfl, watching, progress, tracker.kinks_changed, keeper, identity, shown)
     kinks, events = tracker.result(record.times)
     u = record.W
     u += grid.nodes

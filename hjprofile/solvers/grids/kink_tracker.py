@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.grids.kernels.find_kinks import WIDEST_SHOCK, find_kinks
 from hjprofile.solvers.run import Array, Event, KinkRecord, State, in_order
+from hjprofile.solvers.states import Callback, Snapshot, name_of
 
 Speed = Callable[["Sighting"], float]
 
@@ -151,6 +152,17 @@ class KinkTracker:
     def _speed(self, s: Sighting) -> float:
         """Return the Rankine-Hugoniot speed K [f]/[q]."""
         return s.K * float(self.law.f(s.q_right) - self.law.f(s.q_left)) / s.jump
+
+
+def with_kinks(callback: Callback, tracker: KinkTracker) -> Callback:
+    """Return a callback that is shown each state with the kinks that the tracker has just seen."""
+
+    def shown(t: float, state: Snapshot) -> Any:
+        _, seen = tracker.frames[-1]
+        return callback(t, replace(state, kinks=tuple(sorted(sighting.x for sighting in seen))))
+
+    shown.__name__ = name_of(callback)  # a reason to stop names it
+    return shown
 
 
 def link(frames: Sequence[tuple[float, list[Sighting]]], dx: float, speed: Speed) -> list[_Path]:

@@ -1,4 +1,4 @@
-"""The files and the account of a fit."""
+"""The report and the account of a fit."""
 
 from __future__ import annotations
 
@@ -6,14 +6,7 @@ from itertools import combinations
 from typing import Any
 
 import hjprofile
-from hjprofile.output.store import to_json
-from hjprofile.problem.case import to_toml
 from hjprofile.studies.calibration import FRONTS, Calibration, Parameter
-
-
-def fit_files(found: Calibration) -> dict[str, bytes | str]:
-    """Return name -> content of the files: the numbers, and the case with the fitted values."""
-    return {"fit.json": to_json(fit_report(found)), "fitted.toml": to_toml(found.case)}
 
 
 def fit_report(found: Calibration) -> dict[str, Any]:
