@@ -60,7 +60,10 @@ def test_a_narrow_feature_that_leaves_is_followed():
     assert count["runs"] == count["fronts"] == 2 and not count["tolerance not met"] and min(ratios) >= 1.0
 
 
-@pytest.mark.parametrize("name", TAKEN)
+LONGER = "to_the_critical_slope", "travelling_wave", "log_law", "user_law", "breaking_bump"  # half a second and more
+
+
+@pytest.mark.parametrize("name", [n if n not in LONGER else pytest.param(n, marks=pytest.mark.slow) for n in TAKEN])
 def test_shipped_cases(name):
     case, count = hj.load_case(name), Counter()
     ratios = judge(case.problem, case.grid, (1e-2, 1e-4), count)
