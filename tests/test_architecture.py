@@ -3,7 +3,7 @@
 import ast
 import re
 from collections import Counter
-from functools import lru_cache
+from functools import cache
 from graphlib import TopologicalSorter
 from itertools import pairwise
 from pathlib import Path
@@ -68,11 +68,12 @@ def name_of(path):
 MODULES = {name_of(path): path for path in sorted(HOME.rglob("*.py")) if path.parent.name != "cases"}
 
 
-@lru_cache
+@cache
 def tree(module):
     return ast.parse(MODULES[module].read_text(encoding="utf-8"))
 
 
+@cache  # of a node: each tree is parsed and searched once
 def imported(source):
     """Every module an AST imports, at any depth; of `from a import b` both a and a.b, of which one may be a name."""
     found = set()
@@ -89,6 +90,7 @@ def inside(name, places):
     return any(name == place or name.startswith(f"{place}.") for place in places)
 
 
+@cache
 def own_imports(source):
     """The package's own modules among them, by their short names; "" is the package itself."""
     full = {name for name in imported(source) if inside(name, ["hjprofile"])}

@@ -14,7 +14,6 @@ import ast
 import contextlib
 import importlib.util
 import io
-import os
 import re
 import shlex
 import subprocess
@@ -29,7 +28,7 @@ from matplotlib.figure import Figure
 import hjprofile as hj
 from hjprofile.cli import main
 from hjprofile.cli.common import app
-from hjprofile.output import workers
+from hjprofile.output import store, workers
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -70,12 +69,11 @@ def commands(text):
             program, *arguments = shlex.split(stage, comments=True) or ["#"]
             if program == "hjprofile":
                 shown, code = printed_by(lambda a=arguments: main(a))
-            elif program in ("python", "pytest"):
-                start = [sys.executable, *(["-m", "pytest", "-p", "no:cacheprovider"] if program == "pytest" else [])]
-                narrow = os.environ | {"COLUMNS": "80"}
-                done = subprocess.run(
-                    [*start, *arguments], input=shown, capture_output=True, text=True, timeout=120, env=narrow
-                )
+            elif program == "pytest":
+                shown, code = printed_by(lambda a=arguments: sys.exit(pytest.main(["-p", "no:cacheprovider", *a])))
+            elif program == "python":
+                start = [sys.executable, *arguments]
+                done = subprocess.run(start, input=shown, capture_output=True, text=True, timeout=120)
                 shown, code = done.stdout + done.stderr, done.returncode
             elif program != "#":
                 pytest.fail(f"{line!r} is not known here; mark its block <!-- not run: WHY -->")
@@ -130,10 +128,12 @@ def work_through(page):
 )
 def test_pages_print_what_they_show(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
     # what takes seconds, and changes nothing of what is printed: processes of one's own, and ink
     for begins_processes in ("processes", "drawing_helper"):
         monkeypatch.setattr(workers, begins_processes, lambda wanted: contextlib.nullcontext())
     monkeypatch.setattr(Figure, "savefig", lambda *_, **__: None)
+    monkeypatch.setattr(store, "_picture", lambda run, name: {f"{name}.png": b""})
     work_through(page)
 
 

@@ -52,7 +52,7 @@ def test_every_kind_of_change_is_made_and_messages_stay(mutants):
 
 
 def test_draws_are_those_of_the_seed_and_can_be_parsed(mutants):
-    scope = ["hjprofile/solvers/invariant.py", "hjprofile/studies/tracing.py"]
+    scope = ["hjprofile/solvers/invariant.py", "hjprofile/studies/proved_constant.py"]
     draws = [list(mutants.drawn(scope, seed)) for seed in (1, 1, 2)]
     assert draws[0] == draws[1] != draws[2] and len(draws[0]) > 100
     for mutant in draws[0]:

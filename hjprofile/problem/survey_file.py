@@ -290,10 +290,10 @@ def _columns(
     elif len(numeric) == 2 or (len(numeric) == 3 and not header):
         chosen = numeric
     else:
-        listed = ", ".join(repr(names[i]) for i in numeric)
+        shown = [names[i] for i in (numeric if len(numeric) > 1 else columns_of_numbers)] or names
         raise InputError(
-            f"file = {str(file)!r} has the numeric columns {listed}; name those of x and height, for example "
-            f"--columns {names[numeric[0]]},{names[numeric[-1]]}",
+            f"file = {str(file)!r} has the numeric columns {', '.join(map(repr, shown))}; name those of x and height, "
+            f"for example --columns {shown[0]},{shown[-1]}",
             ABOUT,
         )
     return chosen, [names[i] for i in chosen]

@@ -10,8 +10,16 @@ import tomli_w
 
 import hjprofile as hj
 from hjprofile.cli.common import app
+from hjprofile.output.plots import statement_pictures, study_pictures
 from hjprofile.solvers.closed_forms import closed_form
-from hjprofile.studies import chart, dependence, stability
+from hjprofile.studies import (
+    characteristic_statements,
+    chart,
+    consistency,
+    dependence,
+    stability,
+    statement_runs,
+)
 
 
 @pytest.fixture
@@ -22,11 +30,24 @@ def small(monkeypatch):
         ("SMALLEST", (0.1,)), ("EXPONENTS", (1.0,)), ("REFRESH", (1,)), ("BISECTIONS", 1), ("CUTS", (0.1,)),
     ):  # fmt: skip
         monkeypatch.setattr(stability, name, values)
-    for name, value in (("PAIRS", 1), ("CELLS", 80), ("WAVES", 1)):
+    for name, value in (("PAIRS", 1), ("CELLS", 80), ("WAVES", 1), ("REFRESHES", (16, 8))):
         monkeypatch.setattr(dependence, name, value)
+    monkeypatch.setattr(characteristic_statements, "TIMES", 21)
+    monkeypatch.setattr(statement_runs, "MOMENTS", 21)
 
 
-def test_stability(small, in_tmp, call):
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Pictures of studies are empty files, which take no time."""
+    for where, names in (
+        (statement_pictures, ("statements_picture", "invariant_picture")),
+        (study_pictures, ("chart_picture", "stability_picture", "dependence_picture")),
+    ):
+        for name in names:
+            monkeypatch.setattr(where, name, lambda *_: b"")
+
+
+def test_stability(small, undrawn, in_tmp, call):
     code, out, _ = call("stability", "travelling_kink", "--out", "there")
     found = hj.stability("travelling_kink")
     assert code == 0 and out.startswith(f"{found}\n")
@@ -36,7 +57,7 @@ def test_stability(small, in_tmp, call):
     assert low < high and proved == 1.0
 
 
-def test_dependence(small, in_tmp, call):
+def test_dependence(small, undrawn, in_tmp, call):
     case = hj.load_case("two_kinks")
     found = hj.dependence(case.problem, case.grid, name=case.name)
     code, out, _ = call("dependence", "two_kinks", "--out", "there")
@@ -71,14 +92,15 @@ def test_explain(call):
             hj.explain(wrong)
 
 
-def test_a_study_from_python_has_the_files_of_its_command(small, in_tmp, call):
+def test_a_study_from_python_has_the_files_of_its_command(small, undrawn, in_tmp, call, monkeypatch):
     """Same names, and the same tables where they hold no run times."""
     case = hj.load_case("two_kinks", {"domain.cells": 200, "time.end": 0.5, "time.snapshots": 5})
     Path("case.toml").write_text(tomli_w.dumps(hj.solve_case(case).case))
     case = hj.load_case("case.toml")
-    grid = case.grid
+    grid, checked = case.grid, hj.check(case)
+    monkeypatch.setattr(consistency, "check_consistency", lambda *_: checked.comparisons)  # which is of seconds
     for command, study in (
-        ("check", hj.check(case)),
+        ("check", checked),
         ("dependence", hj.dependence(case.problem, grid, name=case.name)),
         ("statements", hj.statements(case.problem, grid, name=case.name)),
     ):

@@ -70,7 +70,10 @@ def test_at_the_start(tmp_path):
         stopped(tmp_path, ["run", "two_kinks"], number, after(seconds), group=True)
 
 
-@pytest.mark.parametrize("arguments", [["run"], ["sweep", "--vary", "time.end=1,2,3", "--workers", "2"]])
+@pytest.mark.parametrize(
+    "arguments",
+    [["run"], pytest.param(["sweep", "--vary", "time.end=1,2,3", "--workers", "2"], marks=pytest.mark.slow)],
+)
 def test_while_loops_are_compiled(tmp_path, arguments):
     """The first of them is on disk, and the longest, of seconds on any machine, has begun or is about to."""
 
@@ -166,7 +169,9 @@ def test_signals_are_as_before():
     assert heard[1] == before
 
 
-@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize(
+    "closed", [*(pytest.param(one, marks=pytest.mark.slow) for one in ("<&-", "2>&-")), ">&-", "<&- >&- 2>&-"]
+)
 def test_a_stream_that_is_closed(closed):
     """What is said goes nowhere, and into no file that has got its number."""
     script = f'"$0" -m hjprofile cases {closed}; test $? = 0 && "$0" -m hjprofile run nix {closed}'

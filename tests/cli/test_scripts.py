@@ -1,5 +1,6 @@
 """For scripts: `--json` on every command, the consistency test as a function, completion in the shell."""
 
+import contextlib
 import csv
 import json
 import os
@@ -12,8 +13,10 @@ import pytest
 import tomli_w
 
 import hjprofile as hj
+from hjprofile.output import workers
+from hjprofile.output.plots import statement_pictures, study_pictures
 from hjprofile.problem.case_files import shipped_cases
-from hjprofile.studies import chart, consistency, dependence, stability
+from hjprofile.studies import characteristic_statements, chart, consistency, dependence, stability
 
 SCENE = {
     "title": "Zwei Knicke",
@@ -72,7 +75,8 @@ def test_bad_input_answers_on_stderr_alone(scene, call):
     assert (code, out) == (2, "") and "nonsense" in err
 
 
-def test_sweep(scene, ask):
+def test_sweep(scene, ask, monkeypatch):
+    monkeypatch.setattr(workers, "processes", lambda number: contextlib.nullcontext())  # its members run in this one
     document = ask("sweep", "scene.toml", "--vary", "time.end=0.5,1.0", "--workers", "1")
     rows = list(csv.DictReader(Path("results/scene/sweep.csv").read_text().splitlines()))
     assert [row.keys() for row in document["members"]] == [row.keys() for row in rows]
@@ -118,19 +122,24 @@ def test_chart_stability_and_dependence(scene, ask, monkeypatch):
         for value, outcome in ((0.5, stability.HOLDS), (1.0, stability.HOLDS), (2.0, stability.FAILS))
     ]
     monkeypatch.setattr(stability, "scan", lambda *_: trials)
+    for picture in ("chart_picture", "stability_picture", "dependence_picture"):  # drawn in the tests of each command
+        monkeypatch.setattr(study_pictures, picture, lambda *_: b"")
     document = ask("stability", "scene.toml")
     assert document["limits"] == {"godunov": {"holds_at": 1.0, "fails_at": 2.0, "theory": 1.0}}
     assert document["trials"] == [t._asdict() | {"cfl": None} for t in trials]
     monkeypatch.setattr(stability, "scan", lambda *_: trials[:2])
     assert ask("stability", "scene.toml")["limits"]["godunov"]["fails_at"] is None  # it never does
 
-    for name, value in (("PAIRS", 1), ("CELLS", 80)):
+    for name, value in (("PAIRS", 1), ("CELLS", 80), ("WAVES", 1), ("REFRESHES", (16, 8))):
         monkeypatch.setattr(dependence, name, value)
     document = ask("dependence", "scene.toml")
     assert document["passes"] is True and [line.split()[0] for line in document["found"]][:2] == ["data", "zero"]
 
 
-def test_statements(scene, ask):
+def test_statements(scene, ask, monkeypatch):
+    monkeypatch.setattr(characteristic_statements, "TIMES", 101)
+    for picture in ("statements_picture", "invariant_picture"):
+        monkeypatch.setattr(statement_pictures, picture, lambda *_: b"")
     document = ask("statements", "scene.toml")
     first = document["statements"][0]
     assert document["passes"] is True and first["statement"] == "q_in_time" and first["equation"] == "H1"
@@ -148,7 +157,7 @@ def test_every_command_has_it(call):
         assert "--json" in call(name, "--help")[1], name
 
 
-def test_check_is_a_function_for_tests(scene, tmp_path):
+def test_check_is_a_function_for_tests(scene, tmp_path, capsys):
     """In pytest a failure shows the comparisons that failed, and no others."""
     verdict = consistency.Consistency("scene", "Zwei Knicke", COMPARISONS)
     assert not verdict and not verdict.passes
@@ -162,13 +171,16 @@ def test_check_is_a_function_for_tests(scene, tmp_path):
         "    monkeypatch.setattr(consistency, 'check_consistency', lambda *_: [bad])\n"
         "    assert hj.check('scene.toml')\n"
     )
-    done = subprocess.run([sys.executable, "-m", "pytest", "-q", "test_mine.py"], capture_output=True, text=True)
-    assert done.returncode == 1 and "<scene: FAILS identity:godunov 3 on 2000 cells (max <= 1e-10)>" in done.stdout
+    code = pytest.main(["-q", "-p", "no:cacheprovider", "-c", os.devnull, str(tmp_path / "test_mine.py")])
+    assert code == pytest.ExitCode.TESTS_FAILED
+    assert "<scene: FAILS identity:godunov 3 on 2000 cells (max <= 1e-10)>" in capsys.readouterr().out
 
 
-def test_check_takes_what_a_user_has(scene):
+def test_check_takes_what_a_user_has(scene, monkeypatch):
+    monkeypatch.setattr(consistency, "check_consistency", lambda *given: given)
     by_file, by_case = hj.check("scene.toml"), hj.check(hj.load_case(scene))
-    assert by_file and by_file.comparisons == by_case.comparisons and by_file.case == "scene"
+    assert str(by_file.comparisons) == str(by_case.comparisons) and by_file.case == "scene"
+    assert by_file.comparisons[0].title == "Zwei Knicke" and by_file.comparisons[1] == hj.Grid(-4.0, 160)
     with pytest.raises(hj.InputError, match="nowhere"):
         hj.check("nowhere.toml")
 

@@ -36,8 +36,9 @@ def watchful(monkeypatch):
 
 @pytest.mark.parametrize("method", FIRST_ORDER_METHODS)
 @pytest.mark.parametrize("law", LAWS)
-def test_promises_on_random_data(law, method, watchful):
-    for seed in range(8):
+@pytest.mark.parametrize("seeds", [range(3), pytest.param(range(3, 8), marks=pytest.mark.slow)])
+def test_promises_on_random_data(law, method, seeds, watchful):
+    for seed in seeds:
         check_promises(seed, law, method)
 
 

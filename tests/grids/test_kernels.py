@@ -42,7 +42,7 @@ def factors(grid, levels, seed):
     }
 
 
-@settings(max_examples=90, deadline=None)
+@settings(max_examples=45, deadline=None)
 @given(
     data=means,
     law=st.sampled_from(sorted(LAWS)),
@@ -75,7 +75,7 @@ def test_a_sweep_is_as_many_single_steps(data, law, flux, factor, levels, inflow
     assert grown == pytest.approx(plain.toe_gain, rel=1e-11, abs=1e-14)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     data=means, law=st.sampled_from(sorted(LAWS)), factor=st.sampled_from(["nonlocal", "kept", "given"]),
     levels=st.integers(1, wavefront.LANES),

@@ -194,7 +194,9 @@ def rough_surveys():
         yield hj.points(x[:-1].repeat(2)[1:], np.maximum(slope - 1.0, -0.9)[:-1].repeat(2)[:-1])
 
 
-@pytest.mark.parametrize("method", ["local-lax-friedrichs", "godunov", "conservative"])
+@pytest.mark.parametrize(
+    "method", [pytest.param("local-lax-friedrichs", marks=pytest.mark.slow), "godunov", "conservative"]
+)
 def test_the_history_of_a_rough_slope_is_one_that_can_be(method):
     """No kink travels downhill or passes another, merges are where and while the other was, and most are true.
 

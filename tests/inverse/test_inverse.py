@@ -165,7 +165,7 @@ def test_a_deposit_raises_the_crest_above_all_first_levels():
 # Random profiles
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", [pytest.param(law, marks=pytest.mark.slow) if law == "steep" else law for law in LAWS])
 @pytest.mark.parametrize("seed", [2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 3, 5))])
 def test_random_profiles_against_fronts(law, seed):
     """x is monotone, the bounds hold, and the distance from fronts falls as the levels are doubled twice."""

@@ -204,7 +204,7 @@ def fluxes():
     return st.one_of(sizes, pulses, falls, jumps)
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(profiles(-0.9), fluxes(), st.floats(0.2, 1.0))
 def test_layer_and_slope_stay_positive_and_grains_are_kept(profile, supply_flux, cfl):
     """h > 0 and p > 0 for any supply flux; mass and grains to rounding, signs and the L1 norm as they should."""

@@ -44,13 +44,13 @@ STEPS = {  # kinks merge, a vertical step begins and leaves at the toe
 def test_every_method_goes_on_bit_for_bit(method, changes, tmp_path):
     case = case_of(method, **{"domain__cells": 200} | changes)
     whole = fingerprint(solve_case(case))
-    for lots in (3, 5, 9):
-        keeper = Checkpoint(tmp_path, 1e9, resume=False)
+    for lots in (3, 3, 5):  # the second and third stop a run that was resumed
+        keeper = Checkpoint(tmp_path, 1e9, resume=True)
         with pytest.raises(hj.RunError, match=r"interrupted at t = .*--resume continues from it"):
             solve_and_keep(case, keeper, Stop(keeper, lots))
-        again = Checkpoint(tmp_path, 1e-9, resume=True)
-        assert fingerprint(solve_and_keep(case, again)) == whole
-        assert again.resumed_at >= 0.0
+    again = Checkpoint(tmp_path, 1e-9, resume=True)
+    assert fingerprint(solve_and_keep(case, again)) == whole
+    assert again.resumed_at >= 0.0
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL  # as it was
 
 
@@ -230,7 +230,7 @@ def killed_again_and_again(tmp_path, kills, seed):
 
 
 def test_kill_and_resume(tmp_path):
-    killed_again_and_again(tmp_path, 2, seed=1)
+    killed_again_and_again(tmp_path, 1, seed=5)  # killed at 0.69 of the time of a run
 
 
 @pytest.mark.slow

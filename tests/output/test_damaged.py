@@ -22,7 +22,7 @@ from hjprofile.output.folder import RECORD, Owner, ResultFolder
 from hjprofile.problem.units import Units
 from hjprofile.studies.sweep import members
 
-COPIES = 100
+COPIES = 30
 WRONG = [None, True, "", "x", -1, 0, 1e308, float("nan"), float("inf"), 10**400, [], [1], {}, {"a": 1}, "x" * 10**6]
 
 

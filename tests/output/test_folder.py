@@ -39,6 +39,18 @@ def stand_ins(monkeypatch):
     """Studies that take no time: their files are at stake here."""
     monkeypatch.setattr("hjprofile.studies.consistency.check", lambda case, progress: Consistency("case", "Case", ()))
     monkeypatch.setattr("hjprofile.output.workers.processes", lambda count: __import__("contextlib").nullcontext())
+    undrawn(monkeypatch)
+
+
+def undrawn(monkeypatch):
+    """The pictures of a run are empty files, which take no time."""
+    every = "profile", "diagram", "factor", "norms"
+
+    def empty(run, forms=("png",), names=every):
+        return {f"{name}.{form}": b"" for name in names for form in forms}
+
+    monkeypatch.setattr("hjprofile.output.plots.runs.pictures", empty)
+    monkeypatch.setattr("hjprofile.output.plots.animation.animation", lambda *_: b"")
 
 
 def fill(call, case, *options):
@@ -158,8 +170,9 @@ def test_pictures_do_not_go_into_the_folder_of_another_case(in_tmp, call):
     assert call("run", "a.toml")[0] == 0 and names("results/a") == RUN  # what came of the former run is stale
 
 
-def test_files_made_elsewhere_are_of_one_run(in_tmp, call):
+def test_files_made_elsewhere_are_of_one_run(in_tmp, call, monkeypatch):
     """Those of an older run with more saved times are removed, and a folder of another run is refused."""
+    undrawn(monkeypatch)
     call("run", write_case("a.toml", time={"end": 0.1, "snapshots": 5}))
     assert call("export", "results/a", "--vtk", "--out", "vtk")[0] == 0 and len(names("vtk")) > 5
     Path("vtk/notes.txt").write_text("mine")

@@ -91,7 +91,7 @@ def loads_or_is_refused(path):
     return True
 
 
-@examples(200)
+@examples(100)
 @given(RANDOM)
 def test_any_case_file_loads_or_is_refused(folder, rng):
     (folder / "scene.toml").write_bytes(random_case_file(rng))
@@ -109,7 +109,7 @@ def survey_is_taken(folder, data):
     return loads_or_is_refused(folder / "scene.toml")
 
 
-@examples(150)
+@examples(75)
 @given(RANDOM)
 def test_any_survey_is_taken_or_refused(folder, rng):
     survey_is_taken(folder, random_survey(rng))
@@ -151,7 +151,7 @@ def watched():
     sys.addaudithook(_note)  # there is no way to take it away again
 
 
-@examples(300)
+@examples(150)
 @given(RANDOM)
 def test_any_text_is_a_law_or_bad_input(watched, rng):
     is_law(random_expression(rng))
@@ -174,7 +174,7 @@ def assert_finite(folder):
         assert np.isfinite(summary[key]), key
 
 
-@examples(60)
+@examples(25)
 @given(RANDOM)
 def test_any_small_run_ends_in_good_order(tmp_path_factory, folder, rng):
     content = small_run(rng)

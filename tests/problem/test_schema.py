@@ -270,7 +270,7 @@ def cases(draw):
     return content
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
 @given(cases())
 def test_any_admissible_case_is_written_as_it_is_read(folder, content):
     case = parse_case(content, "scene", "scene.toml", folder)

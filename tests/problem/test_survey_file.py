@@ -164,6 +164,7 @@ def test_numbers_of_missing_heights_may_be_given(tmp_path):
         ),
         ("x,height\n" + "a,b\n" * 9 + "1,2\n3,4\n", None, "9 rows without numbers.*; 4 more"),
         ("a,b,c\n0,9,5\n1,8,6\n", None, r"numeric columns 'a', 'b', 'c'; name those .* --columns a,c"),
+        ("a,height\n0\n0,0\n\x010,\x010\n", None, r"numeric columns 'a', 'height'; name those .* --columns a,height"),
         ("a,b\n0,9\n1,8\n", ["a", "z"], "no column 'z'; it has 'a', 'b'"),
         ("a,b\n0,9\n1,8\n", [1, 3], "no column 3"),
         ("lon,lat,z\n9.1,48.2,5\n9.2,48.2,6\n", None, "degrees are no lengths"),

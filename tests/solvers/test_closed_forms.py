@@ -46,19 +46,24 @@ def test_satisfies_the_equation(law, form):
         assert abs(speed - float(exact.K(t, np.array([s]))[0] * law.f(jump) / jump)) <= 1e-5
 
 
-@pytest.mark.parametrize("law", LAWS)
+# the other laws take the same quadratures as the law of a user
+@pytest.mark.parametrize(
+    "law", [n if n in ("rational", "user") else pytest.param(n, marks=pytest.mark.slow) for n in LAWS]
+)
 @pytest.mark.parametrize("form", ["travelling kink", "kink into the steady slope"])
 def test_volume_and_exit(law, form):
     exact = forms(law)[form]
     grid = hj.Grid(-4.0, 8000)
 
-    def volume(t, x):
-        u = exact.u(t, grid.nodes[grid.nodes >= x - 1e-12])
+    def volume(u, x):
+        u = u[grid.nodes >= x - 1e-12]
         return grid.dx * (u.sum() - 0.5 * (u[0] + u[-1]))
 
+    start = exact.u(0.0, grid.nodes)
     for t in (0.5, 0.9 * exact.exit_time, exact.exit_time + 1.0):
+        u = exact.u(t, grid.nodes)
         for x in (-4.0, -1.0):
-            assert abs(volume(0.0, x) - volume(t, x) - exact.eroded(t, x)) <= 2.5e-6  # the trapezoidal sum's dx²
+            assert abs(volume(start, x) - volume(u, x) - exact.eroded(t, x)) <= 2.5e-6  # the trapezoidal sum's dx²
     assert abs(exact.kink(exact.exit_time * (1 - 1e-9))) <= 1e-7
     assert np.isnan(exact.kink(exact.exit_time + 1e-9))
     assert np.all(exact.u(exact.exit_time, grid.nodes) == grid.nodes)

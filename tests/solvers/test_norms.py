@@ -188,7 +188,7 @@ UNIFORM = "godunov", "telescoping", "local-lax-friedrichs", "lax-friedrichs", "e
 
 @pytest.mark.parametrize("method", UNIFORM[:3])
 def test_the_variation_of_I_never_exceeds_its_start_on_random_data(method):
-    seeds = range(2000, 2040)
+    seeds = range(2000, 2015)
     above, _, held = increases(method, seeds).T
     assert above.size == len(seeds) and above.max() <= ROUNDING and held.all()
 
@@ -204,9 +204,9 @@ def test_the_variation_of_I_on_1000_random_data(method):
 
 
 def test_upwind_with_K_summed_by_rectangles_transports_I_exactly():
-    """Theorem 4 of docs/theory.md, on 1000 random profiles: no time step raises TV(I), except by rounding."""
+    """Theorem 4 of docs/theory.md, on 300 random profiles: no time step raises TV(I), except by rounding."""
     rng = np.random.default_rng(5)
-    for _ in range(1000):
+    for _ in range(300):
         n, dx = int(rng.integers(5, 80)), 10.0 ** rng.uniform(-3.0, -0.5)
         q = np.append(0.0, np.exp(rng.uniform(np.log(0.05), np.log(20.0), n)) - 1.0)  # q in (-0.95, 19)
         W = np.append(0.0, np.cumsum(dx * q))

@@ -41,13 +41,14 @@ def judge(problem, grid, tolerances, count):
     return ratios
 
 
-def test_random_scenes():
+@pytest.mark.parametrize("seeds", [(1, 2, 4, 5), pytest.param((6, 7, 8, 11), marks=pytest.mark.slow)])
+def test_random_scenes(seeds):
     """What is not met is told by the estimate; of errors above a hundredth, the estimate is within 30."""
     count, ratios = Counter(), []
-    for seed in (1, 2, 4, 5, 6, 7, 8, 11):  # the others' references take seconds
+    for seed in seeds:  # the others' references take seconds
         problem = random_scene(np.random.default_rng([1, seed]))
         ratios += judge(problem, grid_of(problem, 400), (1e-2, 1e-4, 1e-7), count)
-    assert count["runs"] >= 20 and {"fronts", "characteristics"} <= set(count)
+    assert count["runs"] >= 10 and {"fronts", "characteristics"} <= set(count)
     assert count["tolerance not met"] == count["estimate too small"] == 0
     assert min(ratios) >= 1.0 / FACTOR and max(ratios) <= FACTOR
 
@@ -59,7 +60,10 @@ def test_a_narrow_feature_that_leaves_is_followed():
     assert count["runs"] == count["fronts"] == 2 and not count["tolerance not met"] and min(ratios) >= 1.0
 
 
-@pytest.mark.parametrize("name", TAKEN)
+LONGER = "to_the_critical_slope", "travelling_wave", "log_law", "user_law", "breaking_bump"  # half a second and more
+
+
+@pytest.mark.parametrize("name", [n if n not in LONGER else pytest.param(n, marks=pytest.mark.slow) for n in TAKEN])
 def test_shipped_cases(name):
     case, count = hj.load_case(name), Counter()
     ratios = judge(case.problem, case.grid, (1e-2, 1e-4), count)

@@ -82,14 +82,14 @@ def ratios_of(seeds):
     return ratios
 
 
-@pytest.mark.parametrize("seeds", [range(5), pytest.param(range(5, 200), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seeds", [range(3), pytest.param(range(3, 200), marks=pytest.mark.slow)])
 def test_the_estimate_is_near_the_error_on_random_scenes(seeds):
     ratios = ratios_of(seeds)
     assert len(ratios) > 2 * len(seeds)
     assert {scene: ratio for scene, ratio in ratios.items() if not LOW <= ratio <= HIGH} == {}
 
 
-@pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 40), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seeds", [range(1), pytest.param(range(1, 40), marks=pytest.mark.slow)])
 def test_the_estimate_is_near_the_error_on_rough_surveys(seeds):
     """Of u and of the toe outflow, against fronts that are four times as many as those of any reference here."""
     ratios = {}
@@ -160,10 +160,11 @@ def test_a_prescribed_coefficient_has_an_estimate_from_grids():
 
 
 @pytest.mark.parametrize("method", ["local-lax-friedrichs", "lax-friedrichs", "telescoping", "conservative", "inverse"])
-def test_coarser_grids_alone_bracket_the_error(method):
+@pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 4), marks=pytest.mark.slow)])
+def test_coarser_grids_alone_bracket_the_error(method, seeds):
     """On problems that have other references: the true error is known there."""
     ratios = []
-    for seed in range(4):
+    for seed in seeds:
         problem, grid, u, _ = scene(3, seed, cells=400)
         case = case_of(problem, grid, method)
         search = _Search(hj.solve_case(case), case, problem)

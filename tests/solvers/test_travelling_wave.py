@@ -24,7 +24,7 @@ def on_the_line(law, profile, times, solver, left=-4.0, beyond=21.0, cells=3000)
     return run
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("solver", ["fronts", pytest.param("conservative", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("law", [pytest.param(law, marks=() if law == "log" else pytest.mark.slow) for law in LAWS])
 def test_kinks_become_the_wave_when_the_last_two_have_merged(law, solver):
     """To rounding by fronts: afterwards I is constant right of one kink, and q = 0 on its left. The speed is f'(0)."""

@@ -22,11 +22,6 @@ ON_CHARACTERISTICS = list(along.WORDS)
 
 
 @pytest.fixture(scope="module")
-def bumps():
-    return hj.statements(BUMPS, GRID)
-
-
-@pytest.fixture(scope="module")
 def history():
     return runs.evolve(BUMPS, GRID)
 
@@ -34,6 +29,14 @@ def history():
 @pytest.fixture(scope="module")
 def frozen():
     return runs.freeze(BUMPS, GRID)
+
+
+@pytest.fixture(scope="module")
+def bumps(history, frozen):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "evolve", lambda *_: history)
+        patch.setattr(study, "freeze", lambda *_: frozen)
+        return hj.statements(BUMPS, GRID)
 
 
 def series(found, name):
@@ -118,8 +121,9 @@ def test_a_coefficient_of_time_alone():
     assert found["flux_on_characteristics"].value < 1e-4
 
 
-def test_a_coefficient_of_x_alone():
+def test_a_coefficient_of_x_alone(monkeypatch):
     """k = 2 e^{-x/5}: F is transported, and TV(k) and inf k = 2 in the bound of TV(q) are known."""
+    monkeypatch.setattr(study, "follow", lambda *_: along._none("no characteristic is followed"))
     k = hj.coefficient("2*exp(-0.2*x)")
     problem = hj.Problem(hj.rational(), hj.bumps([0.5], [-4.0], [1.0]), 0.5, coefficient=k)
     found = hj.statements(problem, hj.Grid(-8.0, 400))
@@ -434,7 +438,7 @@ def test_defects_and_allowances_decrease_with_refinement():
 def test_characteristics_are_those_of_the_equation():
     """q along a characteristic from x₀ of data with a constant coefficient 1 is constant, and x = x₀ + f'(q) t."""
     problem = hj.Problem(hj.rational(), BUMPS.profile, 0.5, coefficient=hj.coefficient("1"))
-    values = along.follow(problem, hj.Grid(-10.0, 2000)).values
+    values = along.follow(problem, hj.Grid(-10.0, 1000)).values
     for c in range(values.x.shape[1]):
         x = values.x[:, c][np.isfinite(values.x[:, c])]
         if x.size > 1 and np.isfinite(values.x[0, c]):
@@ -454,7 +458,7 @@ def test_no_characteristic():
 LAWS = [hj.rational(), hj.log(), hj.power(2.0), hj.power(0.6)]
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2, *(pytest.param(n, marks=pytest.mark.slow) for n in range(3, 8))])
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(n, marks=pytest.mark.slow) for n in range(2, 8))])
 def test_random_profiles(seed):
     """Slopes that are no shipped case, with q from -0.95 to 6, four laws, with K and with a prescribed coefficient."""
     rng = np.random.default_rng(seed)

@@ -185,15 +185,15 @@ def test_a_step_that_runs_into_a_hollow():
     """A step meets slopes below the critical one and loses height: fronts against the scheme in u, order 1."""
     profile = hj.points([-3.0, -2.5, -2.5, -1.0], [4.0, 4.0, -0.5, -0.5])
     problem = hj.Problem(LAW, profile, end=0.3, snapshots=2)
-    run = hj.track_fronts(problem, hj.Grid(-4.0, 2000), 800)
+    run = hj.track_fronts(problem, hj.Grid(-4.0, 2000), 400)
     assert run.done and run.bounds["volume_budget"].holds and run.bounds["mass_budget"].holds
     errors = []
-    for n in (500, 1000, 2000):
+    for n in (250, 500, 1000):
         u, x = isotonic_profile(lambda x: profile.W(x, LAW), -4.0, 0.3, n)
         inside = (x > -3.9) & (x < 0.0)
         at = np.interp(u, run.u[-1] + 1e-12 * np.arange(run.x.size), run.x)
         errors.append(np.abs(at - x)[inside].mean())
-    assert 0.7 <= hj.observed_order([500, 1000, 2000], errors) <= 1.4 and errors[-1] < 0.01
+    assert 0.7 <= hj.observed_order([250, 500, 1000], errors) <= 1.4 and errors[-1] < 2e-3  # measured 0.74 and 1.4e-3
 
 
 # Grids
@@ -222,7 +222,7 @@ def test_steps_on_grids_converge():
 
 def test_steps_converge_under_the_second_order_scheme():
     """Of order one and better, where the first-order fluxes have 0.8 and 0.6 in dx; its budgets telescope."""
-    end, cells, errors = 0.9, [int(750 * 2.4 ** (i / 5)) for i in range(6)], []
+    end, cells, errors = 0.9, [int(750 * 2.4 ** (i / 3)) for i in range(4)], []
     x, m = pair().step(end)
     for n in cells:
         run = hj.solve_conservative(two_kinks(end), hj.Grid(-4.0, n))
@@ -233,7 +233,7 @@ def test_steps_converge_under_the_second_order_scheme():
     orders = -np.polyfit(np.log(cells), np.log(errors), 1)[0]
     assert np.all(orders >= 0.9) and np.all(orders <= 1.6), (
         orders
-    )  # measured 1.25 and 1.45; on to 4800 cells, 1.17, 1.31
+    )  # measured 1.29 and 1.52; on to 4800 cells, 1.17, 1.31
     assert errors[-1][0] < 2.5e-3 and errors[-1][1] < 1.5e-2  # measured 1.7e-3 and 1.0e-2
 
 
@@ -436,7 +436,7 @@ def test_methods_that_cannot_carry_a_step_are_refused(method):
 def test_a_result_says_all_of_its_steps(tmp_path):
     problem = replace(two_kinks(0.6, 7), law=hj.expression("q+q/(1+q)", growth="linear"))
     run = hj.track_fronts(problem, hj.Grid(-4.0, 100))
-    hj.write_run(run, tmp_path)
+    hj.write_run(run, tmp_path, plots=False)
     back = hj.load_run(tmp_path)
     assert list(back.vertical_steps) == run.vertical_steps and list(back.events) == run.events
     text = (tmp_path / "vertical_steps.csv").read_text()
@@ -467,7 +467,7 @@ def test_the_budget_holds_where_a_step_leaves():
         assert leaves == pytest.approx(0.3748, abs=2e-4)
 
 
-@pytest.mark.parametrize("seed", [1, 7, 8, 9, 14, 15])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (7, 8, 9, 14, 15))])
 def test_budgets_of_random_bumps(seed):
     """Scenes on which a budget was broken: a kink near its blow-up, slopes that leave a step, tails of 1e-13."""
     rng = np.random.default_rng(seed)
