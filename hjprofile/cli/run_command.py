@@ -89,10 +89,9 @@ def run(
         if stopped:
             raise stopped
         return 0
-    documents, worst = [], 0
+    documents, worst, stopped = [], 0, None
     for i, (name, path) in enumerate(case_folders(case, out).items(), start=1):
         say(asked.quiet or i == 1, "")
-        stopped = None
         try:
             document, stopped = _solve(name, path, asked, f"solving {name.stem} ({i} of {len(case)})")
             documents.append({"case": str(name)} | document)

@@ -63,6 +63,9 @@ def interpolation(s: Array) -> Array:
     return rows / rows.sum(axis=1, keepdims=True)
 
 
+AT_GAUSS = interpolation(GAUSS[0])
+
+
 def tails(values: Array) -> Array:
     """Return the largest of the last Chebyshev coefficients of each row, relative to the row's size (at least 1)."""
     coefficients = np.abs(values @ TO_COEFFICIENTS.T)
@@ -125,12 +128,16 @@ class Panels:
 
     def volume(self) -> float:
         """Return ∫W dx over the living labels, by Gauss-Legendre quadrature."""
-        total = 0.0
-        for p, (low, high) in enumerate(zip(*self.living(), strict=True)) if len(self.r) else ():
-            if high > low:
-                row = interpolation(0.5 * (low + high) + 0.5 * (high - low) * GAUSS[0])
-                W, slope = row @ (self.mesh.I[p] - self.r[p]), row @ (RULE.D @ self.X[p])
-                total += 0.5 * (high - low) * float(GAUSS[1] @ (W * slope))
+        if not len(self.r):
+            return 0.0
+        low, high = self.living()
+        W, slope = self.mesh.I - self.r, self.X @ RULE.D.T
+        whole = (low == -1.0) & (high == 1.0)
+        total = float((((W[whole] @ AT_GAUSS.T) * (slope[whole] @ AT_GAUSS.T)) @ GAUSS[1]).sum())
+        for p in np.flatnonzero((high > low) & ~whole):
+            half = 0.5 * (high[p] - low[p])
+            row = interpolation(0.5 * (low[p] + high[p]) + half * GAUSS[0])
+            total += half * float(GAUSS[1] @ ((row @ W[p]) * (row @ slope[p])))
         return total
 
     def resampled(self, pieces: list[tuple[int, float, float]], first: Array) -> Panels:

@@ -134,17 +134,17 @@ class KinkTracker:
     def result(self, saved_times: Array) -> tuple[list[KinkRecord], list[Event]]:
         """Return the kinks at the saved times, and the events of the whole run."""
         paths = link(self.frames, self.grid.dx, self._speed)
-        turns = {id(p): sorted(o.end.time for o in paths if o.into is p and o.end) for p in paths}
+        curves = {id(p): _Curve.of(p, sorted(o.end.time for o in paths if o.into is p and o.end)) for p in paths}
         records = []
-        for t in saved_times:
+        for t in saved_times.tolist():
             left = [p for p in paths if p.end and p.end.event == "exit" and p.end.time <= t]
             rows = [(p, p.times.index(t)) for p in paths if t in p.times and p not in left]
             for path, i in sorted(rows, key=lambda row: row[0].sightings[row[1]].x):
                 s = path.sightings[i]
                 records.append(
                     KinkRecord(
-                        float(t), path.number, s.x, s.q_left, s.q_right, s.jump,
-                        _measured_speed(path, i, turns[id(path)], self.grid.dx), self._speed(s),
+                        t, path.number, s.x, s.q_left, s.q_right, s.jump,
+                        _measured_speed(curves[id(path)], i, self.grid.dx), self._speed(s),
                     )
                 )  # fmt: skip
         return records, events_of(paths, self.frames[-1][0])
@@ -396,14 +396,27 @@ def _slope(t: Array, x: Array) -> float:
     return float(centred @ x) / spread if spread > 0 else 0.0
 
 
-def _measured_speed(path: _Path, i: int, turns: Sequence[float], dx: float) -> float:
-    """Return dx/dt of the cubic through the sightings around the i-th, between the `turns`, at which the speed jumps.
+class _Curve(NamedTuple):
+    """The sightings of a path: times, positions, and the number of jumps of its speed before each."""
+
+    t: Array
+    x: Array
+    side: Array
+
+    @classmethod
+    def of(cls, path: _Path, turns: Sequence[float]) -> _Curve:
+        """Return the curve of a path; its speed jumps at the times `turns`."""
+        t = np.array(path.times)
+        return cls(t, np.array([s.x for s in path.sightings]), np.searchsorted(turns, t, side="right"))
+
+
+def _measured_speed(curve: _Curve, i: int, dx: float) -> float:
+    """Return dx/dt of the cubic through the sightings around the i-th, between two jumps of the speed.
 
     The fit is one-sided close to a birth, a merge or an exit. The speed is NaN if the sightings are too few, too near
     each other for their accuracy, or not on one smooth curve. It is NaN at x = 0, where kinks are located less well.
     """
-    t, x = np.array(path.times), np.array([s.x for s in path.sightings])
-    side = np.searchsorted(turns, t, side="right")
+    t, x, side = curve
     whole = x <= -WIDEST_SHOCK * dx
     if not whole[i]:
         return float("nan")
@@ -412,10 +425,12 @@ def _measured_speed(path: _Path, i: int, turns: Sequence[float], dx: float) -> f
     t, x = t[near], x[near]
     if t.size < FEWEST_SIGHTINGS - 1 or np.ptp(x) < LEAST_SPAN * dx:
         return float("nan")
-    scale = float(np.ptp(t))
-    cubic = np.polyfit(t / scale, x, min(3, t.size - 2))
-    smooth = np.abs(np.polyval(cubic, t / scale) - x).max() <= SCATTER * np.ptp(x)
-    return float(cubic[-2]) / scale if smooth else float("nan")
+    scale, reach = float(t.max() - t.min()), float(x.max() - x.min())
+    powers = np.vander(t / scale, min(3, t.size - 2) + 1, increasing=True)
+    # t / scale is of order 1, so the condition of this matrix is 1e5 at most
+    cubic = np.linalg.solve(powers.T @ powers, powers.T @ (x - x[0]))
+    smooth = np.abs(powers @ cubic - (x - x[0])).max() <= SCATTER * reach
+    return float(cubic[1]) / scale if smooth else float("nan")
 
 
 def events_of(paths: Sequence[_Path], end: float) -> list[Event]:

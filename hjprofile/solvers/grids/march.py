@@ -117,6 +117,7 @@ class March:
         self.factor = scheme.factor
         self.recorder, self.pace = Recorder(problem.kept, grid, callback), _Pace()
         self.targets, self.refresh_times = _targets(problem, self.factor.refresh)
+        self.saved_times = frozenset(problem.times.tolist())
         self.close_leap = max(6, int(grid.cells * CLOSE_MOTION))
         self.longest_leap = min(MOST_STEPS, max(1, int(grid.cells * LARGEST_MOTION)), self.factor.steps)
         self.batch = _Batch(0.0, 0, 0.0, 0.0, False)  # the last batch
@@ -248,7 +249,7 @@ class March:
         if pace.t == batch.target:
             if batch.target in self.refresh_times:
                 pace.speed = max(pace.speed, self.refreshed_speed)
-            if batch.target in self.problem.times:
+            if batch.target in self.saved_times:
                 self._store()
 
     def _roll_back(self) -> None:
