@@ -41,6 +41,7 @@ class Seconds(NamedTuple):
 def taken(checkout: Path, command: Sequence[str], cache: Path) -> Seconds:
     """Return the seconds of a command of a checkout, with compiled loops in the folder `cache`."""
     environment = os.environ | {"PYTHONPATH": str(checkout), "NUMBA_CACHE_DIR": str(cache)}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # an installed package has bytecode
     with tempfile.TemporaryDirectory() as folder:
         before, started = os.times(), time.perf_counter()
         subprocess.run([sys.executable, *command], cwd=folder, env=environment, check=True, stdout=subprocess.DEVNULL)
@@ -64,6 +65,7 @@ def in_turns(checkouts: Sequence[Path], rounds: int) -> dict[tuple[str, Path], l
                         seconds = taken(checkout, command, cache)
                     if n:
                         found[name, checkout].append(seconds)
+                        print(f"{checkout} {name}: {seconds}", file=sys.stderr, flush=True)
     return found
 
 
