@@ -7,6 +7,12 @@ from scipy.integrate import DOP853
 from hjprofile.solvers.kernels.dormand_prince import STAGES, step_error, tableau
 
 
+def test_the_coefficients_are_those_of_scipy():
+    there = DOP853.A, DOP853.B, DOP853.E3, DOP853.E5, DOP853.A_EXTRA, DOP853.D
+    for own, other in zip(tableau(), there, strict=True):
+        assert np.array_equal(own, other)
+
+
 @pytest.mark.parametrize("absolute", [0, 2, 4])
 def test_the_error_of_a_step(absolute):
     """Each estimate is that of the worst entry: of the first ones as it is, of others as a part of 1 + their size."""

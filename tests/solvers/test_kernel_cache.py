@@ -15,20 +15,24 @@ from hjprofile.solvers.kernels import compiled, disk_cache
 
 LOOP = """
 from hjprofile.solvers.kernels import compiled
-from hjprofile.solvers.kernels.probed import by_kind, constant, helper
+from hjprofile.solvers.kernels.probed import by_kind, constant, helper, inside
 
 @compiled
 def loop(x):
-    return helper(x) + by_kind(x) + constant
+    return helper(x) + by_kind(x) + inside(x) + constant
 """
 PROBED = """
-from hjprofile.solvers.kernels import by_type, compiled
+from hjprofile.solvers.kernels import by_type, compiled, inner
 
 constant = {constant}
 
 @compiled
 def helper(x):
     return {helper} * x
+
+@inner
+def inside(x):
+    return {inside} * x
 
 @by_type
 def by_kind(x):
@@ -56,8 +60,10 @@ class Copy:
         self.environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
         self.environment["XDG_CACHE_HOME"] = str(folder / "user")
 
-    def edit(self, constant=1.0, helper=1.0, by_kind=1.0):
-        (self.kernels / "probed.py").write_text(PROBED.format(constant=constant, helper=helper, by_kind=by_kind))
+    def edit(self, constant=1.0, helper=1.0, by_kind=1.0, inside=1.0):
+        (self.kernels / "probed.py").write_text(
+            PROBED.format(constant=constant, helper=helper, by_kind=by_kind, inside=inside)
+        )
 
     def ask(self):
         """What the loop returns, and whether it was compiled for it: loads, compilations."""
@@ -73,22 +79,22 @@ class Copy:
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="where the user-wide cache is")
 @pytest.mark.parametrize("writable", [True, False], ids=["in the package", "user-wide"])
 def test_an_edited_kernel_is_the_kernel_that_runs(tmp_path, writable):
-    """Whether a function, one chosen by type or a constant of another file has changed, or a file is damaged."""
+    """Whether a function, one without a file, one chosen by type or a constant has changed, or a file is damaged."""
     copy = Copy(tmp_path, writable)
-    assert copy.ask() == (3.0, 0, 1)
+    assert copy.ask() == (4.0, 0, 1)
     files = copy.files()
     assert len(files) == 2
-    edits = {"helper": 2.0, "by_kind": 3.0} if writable else {"constant": 4.0}
+    edits = {"helper": 2.0, "by_kind": 3.0, "inside": 5.0} if writable else {"constant": 6.0}
     for name, value in edits.items():
         copy.edit(**{name: value})
-        assert copy.ask() == (value + 2.0, 0, 1)
+        assert copy.ask() == (value + 3.0, 0, 1)
     assert copy.files() == files  # what is stale is overwritten
     if writable:
         helper, loop = files
         helper.write_bytes(helper.read_bytes()[:-100])  # cut off
         loop.write_bytes(loop.read_bytes()[:40] + bytes(5000))  # blocks that were never written
-        assert copy.ask() == (value + 2.0, 0, 1)
-    assert copy.ask() == (value + 2.0, 1, 0)
+        assert copy.ask() == (value + 3.0, 0, 1)
+    assert copy.ask() == (value + 3.0, 1, 0)
 
 
 @pytest.fixture

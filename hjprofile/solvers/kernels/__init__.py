@@ -8,7 +8,7 @@ from functools import wraps
 
 import numba
 import numpy as np
-from numba.extending import overload
+from numba.extending import overload, register_jitable
 
 from hjprofile.solvers.kernels.disk_cache import KernelCache
 
@@ -18,7 +18,8 @@ def compiled(function, **options):
     if numba.config.DISABLE_JIT:
         return _interpreted(function)
     # error_model="numpy": without the check for division by zero loops vectorise
-    loop = numba.njit(error_model="numpy", **options)(function)
+    # no_cfunc_wrapper: no entry for callbacks from C, which would take a tenth of the compilation
+    loop = numba.njit(error_model="numpy", no_cfunc_wrapper=True, **options)(function)
     with suppress(RuntimeError):  # no folder for the cache can be written
         loop._cache = KernelCache(function)
     return loop
@@ -27,6 +28,19 @@ def compiled(function, **options):
 def vectorised(function):
     """Compile a function as `compiled` does; a product and a sum may be rounded once instead of twice."""
     return compiled(function, fastmath={"contract"})
+
+
+def inner(function):
+    """Prepare a function that loops call and Python does not: it is compiled into each loop that calls it.
+
+    It has no entry for calls from Python and no file in the cache, which halves the seconds of its compilation. A call
+    from Python, as in a test, runs it as Python. It is compiled twice if a function marked by `compiled` and one marked
+    by `inner` call it.
+    """
+    if numba.config.DISABLE_JIT:
+        return _interpreted(function)
+    # the options are those of `compiled`, whatever the options of the loop that calls it
+    return register_jitable(error_model="numpy", no_cfunc_wrapper=True, fastmath=False)(function)
 
 
 def by_type(choose):

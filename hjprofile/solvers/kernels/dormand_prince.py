@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hjprofile.solvers.kernels import compiled
+from hjprofile.solvers.kernels import compiled, dop853, inner
 
 STAGES = 12
 BLOCK = 1024  # entries of a state that fit into the first-level cache while rates are summed
@@ -35,13 +35,20 @@ class Tableau(NamedTuple):
 
 @cache
 def tableau() -> Tableau:
-    """Return the coefficients from scipy, whose import takes half a second and is not needed by runs on a grid."""
-    from scipy.integrate import DOP853
+    """Return the coefficients as arrays."""
+    stages, more = STAGES, STAGES + 4
 
-    return Tableau(DOP853.A, DOP853.B, DOP853.E3, DOP853.E5, DOP853.A_EXTRA, DOP853.D)
+    def table(rows, columns):
+        filled = np.zeros((len(rows), columns))
+        for row, values in zip(filled, rows, strict=True):
+            row[: len(values)] = values
+        return filled
+
+    A, A_more, D = table(dop853.A, stages), table(dop853.A_MORE, more), table(dop853.D, more)
+    return Tableau(A, np.array(dop853.B), np.array(dop853.E3), np.array(dop853.E5), A_more, D)
 
 
-@compiled
+@inner
 def state_at(stage, y, h, rates, tableau, out):
     """Fill the state at which the rate of a stage is evaluated, from the rates before it.
 
@@ -63,7 +70,7 @@ def state_at(stage, y, h, rates, tableau, out):
             out[l] = y[l] + h * out[l]
 
 
-@compiled
+@inner
 def step_error(h, rates, tableau, new, absolute):
     """Return the largest error of a step that ends at `new`; NaN if a rate is not finite.
 
@@ -104,7 +111,7 @@ def state_within(y, F, part, out):
         out[l] = y[l] + total
 
 
-@compiled
+@inner
 def larger(a, b):
     """Return the larger of two numbers; NaN if either is NaN."""
     return b if a <= b or b != b else a

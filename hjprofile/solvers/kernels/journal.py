@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hjprofile.solvers.kernels import compiled
+from hjprofile.solvers.kernels import inner
 
 # Kinds of events, and their names. At a blow-up a kink becomes a vertical step.
 BIRTH, MERGE, EXIT, BLOW_UP = range(4)
@@ -32,7 +32,7 @@ class Journal(NamedTuple):
     counts: np.ndarray
 
 
-@compiled
+@inner
 def note(journal, t, kind, kink, into, x):
     """Add a row to the log unless the log is full."""
     log, row = journal.log, journal.counts[LOGGED]
@@ -41,7 +41,7 @@ def note(journal, t, kind, kink, into, x):
         journal.counts[LOGGED] = row + 1
 
 
-@compiled
+@inner
 def new_label(journal):
     """Return the next label of a kink."""
     journal.counts[HIGHEST_LABEL] += 1

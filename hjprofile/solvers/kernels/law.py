@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hjprofile.solvers.kernels import compiled
+from hjprofile.solvers.kernels import compiled, inner
 
 
 class LawTable(NamedTuple):
@@ -35,7 +35,7 @@ class LawTable(NamedTuple):
     rate: float
 
 
-@compiled
+@inner
 def polynomial(table, start, density, x):
     """Evaluate a piecewise polynomial of degree 7; the pieces at both ends are continued.
 
@@ -50,13 +50,13 @@ def polynomial(table, start, density, x):
     return low + z2 * z2 * high
 
 
-@compiled
+@inner
 def law_f(rho, law):
     """Return f at rho."""
     return polynomial(law.f, law.start, law.density, rho)
 
 
-@compiled
+@inner
 def law_derivatives(rho, law):
     """Return f, df/drho and d²f/drho² at rho."""
     s = (rho - law.start) * law.density

@@ -5,11 +5,9 @@ The conventions are those of `front_state`.
 
 from typing import NamedTuple
 
-import numpy as np
-
 from hjprofile.solvers.fronts.kernels.front_merging import merge, note_events
 from hjprofile.solvers.fronts.kernels.front_state import crest_flux, speeds, sweep
-from hjprofile.solvers.kernels import compiled
+from hjprofile.solvers.kernels import compiled, inner
 from hjprofile.solvers.kernels.dormand_prince import STAGES, Tableau, state_at, step_error
 from hjprofile.solvers.kernels.journal import CREST_LOWERING, STEPS, TOE_GAIN
 
@@ -33,7 +31,7 @@ class ExactControl(NamedTuple):
     tableau: Tableau
 
 
-@compiled
+@inner
 def rates_of(y, jump, n, medium, sides, rate):
     """Fill the speeds of n fronts, then K_left - 1 and F(0): the state y holds positions and the two integrals.
 
@@ -44,16 +42,15 @@ def rates_of(y, jump, n, medium, sides, rate):
     rate[n + 1] = crest_flux(y, n - 1, sides.r_right, medium.law)
 
 
-@compiled
+@inner
 def step(y, rates, dt, jump, n, medium, sides, tableau, new):
-    """Fill `new` by one step from y, whose rate is rates[0]."""
-    for stage in range(1, STAGES):
+    """Fill `new` by one step from y, whose rate is rates[0], and rates[STAGES] by the rate there."""
+    for stage in range(1, STAGES + 1):
         state_at(stage, y, dt, rates, tableau, new)
         rates_of(new, jump, n, medium, sides, rates[stage])
-    state_at(STAGES, y, dt, rates, tableau, new)
 
 
-@compiled
+@inner
 def least_gap(y, before, n):
     """Return the smallest distance of two neighbours, or of the last front from x = 0, and its index (n - 1: at x = 0).
 
@@ -66,13 +63,16 @@ def least_gap(y, before, n):
     return least, at
 
 
-@compiled
+@inner
 def fan_fails_to_open(y, before, n):
     """Return True if neighbours that coincided have changed their order."""
-    return np.any((np.diff(before[:n]) <= COINCIDENT) & (np.diff(y[:n]) < -0.1 * COINCIDENT))
+    for j in range(n - 1):  # noqa: SIM110  numba compiles no generators
+        if before[j + 1] - before[j] <= COINCIDENT and y[j + 1] - y[j] < -0.1 * COINCIDENT:
+            return True
+    return False
 
 
-@compiled
+@inner
 def first_crossing(y, new, rates, dt, n):
     """Return the fraction of a step at the first event, by cubic interpolation from the `rates` at both ends."""
     first = 1.0
@@ -97,7 +97,7 @@ def first_crossing(y, new, rates, dt, n):
     return first
 
 
-@compiled
+@inner
 def narrowed(low, g_low, high, g_high, side, theta, gap):
     """Replace the end of a bracket on the side of the value `gap` at theta; `side` is the end that was replaced last.
 
@@ -108,7 +108,7 @@ def narrowed(low, g_low, high, g_high, side, theta, gap):
     return low, 0.5 * g_low if side == -1 else g_low, theta, gap, -1
 
 
-@compiled
+@inner
 def first_event(y, rates, dt, jump, n, medium, sides, tableau, new):
     """Set `new`, a step beyond an event, to the state at the first event; return the length of that step and the pair.
 
@@ -138,13 +138,13 @@ def advance_exactly(fronts, n, t, end, control, medium, work, journal):
     Return n, and True if `end` is reached: False after many consecutive steps without progress.
     """
     x, jump, sides, rates, totals = fronts.x, fronts.jump, work.sides, work.rate, journal.totals
-    tableau, stalled = control.tableau, 0
+    stalled = 0
     dt = 0.01 * (end - t)
     pair = -1  # the pair (pair, pair + 1) of an event
     while n > 0:
         # coincident fronts that do not separate are one front: after an event, and in the data
-        rates_of(x, jump, n, medium, sides, rates[0])
-        if put_together(x, rates[0], n, pair, COINCIDENT if t < end else COINCIDENT_AT_END, t >= end):
+        near = COINCIDENT if t < end else COINCIDENT_AT_END
+        if put_together(x, jump, n, pair, near, t >= end, medium, sides, rates[0]):
             sweep(x, jump, n, n - 1, medium, sides)
             n = merge(fronts, n, t, medium.law, sides, rates[0], work.stack, journal)
             n = note_events(fronts, n, t, control.strong, rates[0], journal)
@@ -154,41 +154,52 @@ def advance_exactly(fronts, n, t, end, control, medium, work, journal):
             break
 
         y, new = work.trial[: n + 2], work.new[: n + 2]
-        y[:n] = x[:n]
+        for j in range(n):
+            y[j] = x[j]
         y[n], y[n + 1] = totals[TOE_GAIN], totals[CREST_LOWERING]
-        dt = min(dt, end - t)
-        while True:
-            step(y, rates, dt, jump, n, medium, sides, tableau, new)
-            rates_of(new, jump, n, medium, sides, rates[STAGES])
-            error = step_error(dt, rates, tableau, new, n) / control.tolerance
-            if dt < 1e-14 * end:
-                break
-            if not error <= 1.0:
-                dt *= max(0.2, 0.9 * error**-0.125) if error == error else 0.1
-            elif fan_fails_to_open(new, y, n):
-                dt *= 0.5
-            else:
-                break
+        dt, error = accepted_step(y, rates, min(dt, end - t), 1e-14 * end, jump, n, control, medium, sides, new)
         used = dt
         if least_gap(new, y, n)[0] < 0.0:
-            used, pair = first_event(y, rates, dt, jump, n, medium, sides, tableau, new)
+            used, pair = first_event(y, rates, dt, jump, n, medium, sides, control.tableau, new)
         stalled = stalled + 1 if used < 1e-13 * end else 0
         if stalled > MAX_STALLED_STEPS:
             return n, False
         t = end if used == end - t else t + used
-        x[:n] = new[:n]
+        for j in range(n):
+            x[j] = new[j]
         totals[TOE_GAIN], totals[CREST_LOWERING] = new[n], new[n + 1]
         journal.counts[STEPS] += 1
         dt *= min(2.0, 0.9 * error**-0.125) if error > 0.0 else 2.0
     return n, True
 
 
-@compiled
-def put_together(x, speed, n, pair, near, at_end):
+@inner
+def accepted_step(y, rates, dt, shortest, jump, n, control, medium, sides, new):
+    """Fill `new` by a step from y, shorter than dt if necessary; return its length, and its error by the tolerance.
+
+    A step shorter than `shortest` is accepted with any error.
+    """
+    while True:
+        step(y, rates, dt, jump, n, medium, sides, control.tableau, new)
+        error = step_error(dt, rates, control.tableau, new, n) / control.tolerance
+        if dt < shortest:
+            return dt, error
+        if not error <= 1.0:
+            dt *= max(0.2, 0.9 * error**-0.125) if error == error else 0.1
+        elif fan_fails_to_open(new, y, n):
+            dt *= 0.5
+        else:
+            return dt, error
+
+
+@inner
+def put_together(x, jump, n, pair, near, at_end, medium, sides, speed):
     """Put fronts that have become one out of order, to be merged; return True if there are any, or if one leaves.
 
     These are the pair (pair, pair + 1), and neighbours that are no further apart than `near` and do not separate.
+    Their rates are filled into `speed`, as `rates_of` does.
     """
+    rates_of(x, jump, n, medium, sides, speed)
     together = False
     if at_end and x[n - 1] >= -near:
         x[n - 1] = 0.0

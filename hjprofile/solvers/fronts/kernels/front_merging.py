@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hjprofile.solvers.kernels import compiled
+from hjprofile.solvers.kernels import inner
 from hjprofile.solvers.kernels.journal import BIRTH, EXIT, MERGE, new_label, note
 from hjprofile.solvers.kernels.law import law_decay, law_q_f
 
@@ -26,7 +26,7 @@ class Stack(NamedTuple):
     first: np.ndarray
 
 
-@compiled
+@inner
 def meeting(xa, ra, xb, rb, jump, span, law):
     """Return the position at which the piece left of front a and the piece right of front b have the same W.
 
@@ -56,7 +56,7 @@ def meeting(xa, ra, xb, rb, jump, span, law):
     return min(max(x, m - most), m + most) if x == x else m
 
 
-@compiled
+@inner
 def merge(fronts, n, t, law, sides, speed, stack, journal):
     """Merge fronts that are out of order, also several at once; return the number of remaining fronts.
 
@@ -101,7 +101,7 @@ def merge(fronts, n, t, law, sides, speed, stack, journal):
     return m
 
 
-@compiled
+@inner
 def note_events(fronts, n, t, strong, speed, journal):
     """Label the kinks that were born and remove the fronts that left; return the number of fronts.
 

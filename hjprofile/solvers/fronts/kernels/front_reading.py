@@ -3,7 +3,7 @@
 import math
 
 from hjprofile.solvers.fronts.kernels.front_state import sweep
-from hjprofile.solvers.kernels import compiled
+from hjprofile.solvers.kernels import compiled, inner
 from hjprofile.solvers.kernels.law import law_decay, law_q_f
 
 WIDE = 64.0  # jump times length of a piece, relative to its area, up to which a cubic interpolates W
@@ -69,7 +69,7 @@ def read(fronts, n, area, medium, sides, nodes, W_out, K_out):
             W_out[i], K_out[i] = I - r, K[j] * r / r_right[j]
 
 
-@compiled
+@inner
 def cubic_turn(a, mean, b):
     """Return the extreme slope inside a cubic with end slopes a and b and the given mean slope; a if there is none."""
     linear, square = 2.0 * (3.0 * mean - 2.0 * a - b), 3.0 * (a + b - 2.0 * mean)

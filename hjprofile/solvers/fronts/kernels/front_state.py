@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hjprofile.solvers.kernels import compiled
+from hjprofile.solvers.kernels import compiled, inner
 from hjprofile.solvers.kernels.law import LawTable, law_decay, law_derivatives, law_f, law_flow, law_q_f
 
 
@@ -47,7 +47,7 @@ class Sides(NamedTuple):
     K: np.ndarray
 
 
-@compiled
+@inner
 def crest_front(x, n):
     """Return the index of the front whose piece on the right contains x = 0."""
     crest = n - 1
@@ -102,7 +102,7 @@ def sweep(x, jump, n, crest, medium, sides):
         K[j] = K[j - 1] * r_left[j] / r_right[j - 1]
 
 
-@compiled
+@inner
 def speeds(x, jump, n, crest, medium, sides, speed):
     """Fill x' = K [f]/[q] of the first n fronts, and their sides except the slope; `speed` is the work array for it."""
     K = sides.K
@@ -111,7 +111,7 @@ def speeds(x, jump, n, crest, medium, sides, speed):
         speed[j] *= K[j]
 
 
-@compiled
+@inner
 def crest_flux(x, crest, r_right, law):
     """Return F = f(q) at x = 0, right of front `crest`."""
     return law_q_f(law_decay(r_right[crest], -x[crest], law), law)[1]

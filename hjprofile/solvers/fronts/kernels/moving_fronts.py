@@ -7,7 +7,7 @@ import numpy as np
 
 from hjprofile.solvers.fronts.kernels.front_merging import Stack, merge, note_events
 from hjprofile.solvers.fronts.kernels.front_state import Fronts, Medium, Sides, crest_flux, crest_front, speeds
-from hjprofile.solvers.kernels import compiled
+from hjprofile.solvers.kernels import compiled, inner
 from hjprofile.solvers.kernels.journal import CREST_LOWERING, STEPS, TOE_GAIN
 from hjprofile.solvers.kernels.law import law_q_f
 
@@ -84,8 +84,7 @@ def advance(fronts, n, t, end, control, medium, work, journal):
     x, jump = fronts.x, fronts.jump
     floor, short = STEP_FLOOR * (end - t), 0
     while t < end and n > 0 and short <= MAX_SHORT_STEPS:
-        speeds(x, jump, n, crest_front(x, n), medium, work.sides, work.rate[0])
-        active = active_part(n, control.still / (end - t), medium, work)
+        active = active_part(x, jump, n, control.still / (end - t), medium, work)
         first = active.first
         part = Fronts(x[first:], jump[first:], fronts.label[first:], fronts.first_merge[first:], fronts.smooth[first:])
         m, t, short = advance_part(part, n - first, (t, end, floor), short, control, active, medium, work, journal)
@@ -93,14 +92,16 @@ def advance(fronts, n, t, end, control, medium, work, journal):
     return n, t >= end or n == 0
 
 
-@compiled
-def active_part(n, slowest, medium, work):
-    """Return the active part of n fronts, after a sweep with their speeds in rate[0]. Others move below `slowest`.
+@inner
+def active_part(x, jump, n, slowest, medium, work):
+    """Return the active part of n fronts, and fill their sides, and rate[0] with their speeds. Others move below
+    `slowest`.
 
     K falls by many orders of magnitude along a slope with hollows, and grains do not reach its lower part until the
     hollows above are full. The values of r left of the first moving front are constant, and K changes in proportion.
     """
     sides, speed = work.sides, work.rate[0]
+    speeds(x, jump, n, crest_front(x, n), medium, sides, speed)
     first, largest = 0, 0.0
     for j in range(n - 1):
         rate = max(speed[j], sides.K[j] * abs(law_q_f(sides.r_right[j], medium.law)[1]))
@@ -115,7 +116,7 @@ def active_part(n, slowest, medium, work):
     return Active(first, sides.r_left[first], 0.0, STILL_AT_FIRST * slowest)
 
 
-@compiled
+@inner
 def advance_part(fronts, n, times, short, control, active, medium, work, journal):
     """Advance the first n fronts of the active part to `end`, or until fronts on its left move.
 
@@ -164,7 +165,7 @@ def advance_part(fronts, n, times, short, control, active, medium, work, journal
     return n, t, short
 
 
-@compiled
+@inner
 def fit_folds(n, control, law, work):
     """Shorten the next step until no front crosses more than MOST_FOLDS; fill `max_K_f`; return its maximum."""
     r_right, K, speed, max_K_f = work.sides.r_right, work.sides.K, work.rate[0], work.max_K_f
@@ -177,7 +178,7 @@ def fit_folds(n, control, law, work):
     return largest_K_f
 
 
-@compiled
+@inner
 def runge_kutta(x, jump, n, dt, start, toe, medium, work):
     """Fill the positions after a step and the rates of its stages; return six times the means of K_left - 1 and F(0).
 
@@ -200,7 +201,7 @@ def runge_kutta(x, jump, n, dt, start, toe, medium, work):
     return toe_gain, crest_lowering
 
 
-@compiled
+@inner
 def accepted(control, dt, error):
     """Return True if the error of a step is allowed; set the length of the next step, or of the repetition of this one.
 
@@ -218,7 +219,7 @@ def accepted(control, dt, error):
     return False
 
 
-@compiled
+@inner
 def motion_error(jump, n, last, after):
     """Return six times the error of W per unit of time of a step: the largest sum of jump times displacement.
 
@@ -232,7 +233,7 @@ def motion_error(jump, n, last, after):
     return largest
 
 
-@compiled
+@inner
 def exit_error(new, speed, n, sides, law):
     """Return the error of ln K, divided by the square of the step, of the worst front that leaves within a step.
 
@@ -248,7 +249,7 @@ def exit_error(new, speed, n, sides, law):
     return largest
 
 
-@compiled
+@inner
 def crossing_error(x, jump, n, sides, max_K_f, law):
     """Return the error of W per unit of time by fronts that have crossed and are not merged yet.
 

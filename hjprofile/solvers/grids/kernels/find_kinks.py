@@ -6,10 +6,12 @@ follows from conservation: two straight lines, which continue q from either side
 cells between them.
 """
 
+import math
+
 import numpy as np
 
-from hjprofile.solvers.grids.kernels.sweep_law import LANES, cell_law, is_table, read
-from hjprofile.solvers.kernels import compiled, vectorised
+from hjprofile.solvers.grids.kernels.sweep_law import LANES, cell_law, is_table, read, summed
+from hjprofile.solvers.kernels import compiled, inner, vectorised
 
 SMALLEST_JUMP = 0.05  # a weaker jump cannot be distinguished from a steep smooth rise on grids of a thousand cells
 WIDEST_SHOCK = 16  # cells over which a shock may spread; Lax-Friedrichs spreads a jump of 0.4 over this many
@@ -36,8 +38,8 @@ def find_kinks(q, x_left, dx, law):
         cell = min(max(int(place), 0), q.size - 1)
         exponent += _exponent(q, cell + 1, summed, dx, law)
         summed = cell + 1
-        K_right = np.exp(exponent)
-        K_left = np.exp(exponent + _exponent(q, cell, cell + 1, dx, law))
+        K_right = math.exp(exponent)
+        K_left = math.exp(exponent + _exponent(q, cell, cell + 1, dx, law))
         K = K_left + (place - cell) * (K_right - K_left)
         found[n, 0], found[n, 1], found[n, 2], found[n, 3] = x_left + place * dx, left, right, K
         n += 1
@@ -58,10 +60,10 @@ def _exponent(q, first, stop, dx, law):
             read(row, law, f, df)
         for l in range(LANES):
             total[l] += cell_law(l, row[l] * dx, dx, law, f, df)[0]
-    return total.sum()
+    return summed(total)
 
 
-@compiled
+@inner
 def _rises(q):
     """Return the pairs (a, b) of the first and last cell of each rise that is too steep for the grid."""
     n = q.size
@@ -92,14 +94,15 @@ def _rises(q):
                 a, b = found[count, 0], max(b, found[count, 1])
             if count == found.shape[0]:
                 more = np.empty((2 * count + 8, 2), np.int64)
-                more[:count] = found[:count]
+                for i in range(count):
+                    more[i, 0], more[i, 1] = found[i, 0], found[i, 1]
                 found = more
             found[count, 0], found[count, 1] = a, b
             count += 1
     return found[:count]
 
 
-@compiled
+@inner
 def _line(q, first, last, near):
     """Return value and slope per cell at `near` of the line fitted to the cells first..last.
 
@@ -122,7 +125,7 @@ def _line(q, first, last, near):
     return mean + slope * (near - centre), slope
 
 
-@compiled
+@inner
 def _locate(q, dx, a, b):
     """Return the position (in cells from the left) of the kink in a rise from cell a to cell b, and q on either side.
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hjprofile.solvers.kernels import by_type, vectorised
+from hjprofile.solvers.kernels import by_type, inner, vectorised
 
 PIECES = 11  # log2 of the number of pieces in each binade of 1 + q
 SHIFT = 52 - PIECES  # bits of a double that hold the position of 1 + q within its piece
@@ -166,6 +166,33 @@ def cell_law_with_mean(l, d, s, dx, law, f, df, f_mean):
         return f[l] * dx, df[l] if d > -dx else np.inf, f_mean[l] * dx
 
     return tabulated
+
+
+@inner
+def summed(lanes):
+    """Return the sum over an array of lanes; numba's own sum, minimum and maximum take seconds to compile."""
+    total = 0.0
+    for value in lanes:
+        total += value
+    return total
+
+
+@inner
+def smallest(lanes):
+    """Return the minimum of an array of lanes."""
+    least = lanes[0]
+    for value in lanes:
+        least = min(least, value)
+    return least
+
+
+@inner
+def largest(lanes):
+    """Return the maximum of an array of lanes."""
+    most = lanes[0]
+    for value in lanes:
+        most = max(most, value)
+    return most
 
 
 @vectorised

@@ -7,9 +7,12 @@ from hjprofile.solvers.grids.kernels.sweep_law import (
     cell_law,
     curvature_at_zero,
     is_table,
+    largest,
     read,
     read_f,
     slope_at_zero,
+    smallest,
+    summed,
     values,
 )
 from hjprofile.solvers.grids.kernels.wavefront import exp_quadratic, looks_ahead, node_flux
@@ -77,8 +80,8 @@ def survey(q, dx, law, ln_K):
             variation_K_z2[width] -= K_z2[width - 1]
         q_neighbour, K_z2_neighbour = value[width - 1], K_z2[width - 1]
     return (
-        dx * total.sum(), dx * size.sum(), least.min(), most.max(), variation_q.sum(), ln_K_min.min(), ln_K_max.max(),
-        sum_K_z2.sum() / dx, variation_K_z2.sum() / (dx * dx),
+        dx * summed(total), dx * summed(size), smallest(least), largest(most), summed(variation_q), smallest(ln_K_min),
+        largest(ln_K_max), summed(sum_K_z2) / dx, summed(variation_K_z2) / (dx * dx),
     )  # fmt: skip
 
 
