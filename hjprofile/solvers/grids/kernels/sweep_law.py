@@ -11,7 +11,7 @@ import numpy as np
 
 from hjprofile.solvers.kernels import by_type, inner, vectorised
 
-PIECES = 11  # log2 of the number of pieces in each binade of 1 + q
+PIECES = 9  # log2 of the number of pieces in each binade of 1 + q
 SHIFT = 52 - PIECES  # bits of a double that hold the position of 1 + q within its piece
 LANES = 64  # time levels that the sweeps of wavefront.py advance at once
 
@@ -21,20 +21,17 @@ class Rational(NamedTuple):
 
 
 class Tabulated(NamedTuple):
-    """Parabolas on the pieces into which the leading bits of 1 + q divide the positive numbers.
+    """Cubics on the pieces into which the leading bits of 1 + q divide the positive numbers.
 
-    With s the distance from a piece's left end, f = c0 + s (c1 + s c2) and f' = c1 + s d1. Both are continuous, so
-    states that differ by rounding have nearly the same f and f', also if they lie in different pieces.
+    With s the distance from a piece's left end, f = c0 + s (c1 + s (c2 + s c3)). f and f' are continuous, so states
+    that differ by rounding have nearly the same f and f', also if they lie in different pieces.
 
     Attributes:
-        c0, c1, c2, d1: coefficients, each of shape (pieces,).
+        c: the coefficients, shape (pieces, 4): those of a piece lie in one line of the processor's cache.
         first: leading bits of the first piece.
     """
 
-    c0: np.ndarray
-    c1: np.ndarray
-    c2: np.ndarray
-    d1: np.ndarray
+    c: np.ndarray
     first: int
 
 
@@ -62,7 +59,7 @@ def positive(p):
 def _confine(p, law):
     """Clip an array of lanes to the range of the table."""
     least = _double(law.first << SHIFT)
-    most = _double(((law.first + law.c0.size) << SHIFT) - 1)
+    most = _double(((law.first + law.c.shape[0]) << SHIFT) - 1)
     for l in range(LANES):
         inside = p[l] if p[l] > least else least
         p[l] = inside if inside < most else most
@@ -81,9 +78,9 @@ def _read(p, law, f, df):
     _confine(p, law)
     for l in range(LANES):
         j, s = _place(p[l], law)
-        c1 = law.c1[j]
-        f[l] = law.c0[j] + s * (c1 + s * law.c2[j])
-        df[l] = c1 + s * law.d1[j]
+        c1, c2, c3 = law.c[j, 1], law.c[j, 2], law.c[j, 3]
+        f[l] = law.c[j, 0] + s * (c1 + s * (c2 + s * c3))
+        df[l] = c1 + s * (2.0 * c2 + 3.0 * s * c3)
 
 
 @vectorised
@@ -91,7 +88,7 @@ def _read_f(p, law, f):
     _confine(p, law)
     for l in range(LANES):
         j, s = _place(p[l], law)
-        f[l] = law.c0[j] + s * (law.c1[j] + s * law.c2[j])
+        f[l] = law.c[j, 0] + s * (law.c[j, 1] + s * (law.c[j, 2] + s * law.c[j, 3]))
 
 
 @by_type
@@ -99,7 +96,7 @@ def slope_at_zero(law):
     """Return f'(0)."""
     if law.instance_class is Rational:
         return lambda law: 1.0
-    return lambda law: law.c1[(_bits(1.0) >> SHIFT) - law.first]
+    return lambda law: law.c[(_bits(1.0) >> SHIFT) - law.first, 1]
 
 
 @by_type
@@ -107,7 +104,7 @@ def curvature_at_zero(law):
     """Return f''(0)."""
     if law.instance_class is Rational:
         return lambda law: -2.0
-    return lambda law: 2.0 * law.c2[(_bits(1.0) >> SHIFT) - law.first]
+    return lambda law: 2.0 * law.c[(_bits(1.0) >> SHIFT) - law.first, 2]
 
 
 @by_type
