@@ -1,4 +1,4 @@
-"""The recipe for an ensemble on a cluster: its members are those of a loop, and a kill costs only chunks in progress."""
+"""The recipe for an ensemble on a cluster: its members are those of a loop; a kill costs only chunks in progress."""
 
 import importlib.util
 import os
@@ -123,7 +123,7 @@ def wait_for(condition, running):
         time.sleep(0.02)
 
 
-@pytest.mark.slow  # 30 s: two clusters are started
+@pytest.mark.slow  # half a minute: two clusters are started
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc")
 def test_killed_and_resumed_it_is_the_loop_bit_for_bit(recipe, survey, in_tmp):
     """The script is killed with all its processes; the second run loses a worker, and continues from the chunks."""

@@ -5,7 +5,7 @@
 It prints the numbers of docs/howto/ensemble_on_a_cluster.md. It needs the extra `cluster` and a system with /proc.
 """
 
-import importlib.util
+import importlib
 import os
 import resource
 import shutil
@@ -17,7 +17,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from cloudpickle import register_pickle_by_value
 from distributed import Client
 
 import hjprofile as hj
@@ -29,12 +28,9 @@ REPEATS = 5
 
 
 def recipe():
-    spec = importlib.util.spec_from_file_location(SCRIPT.stem, SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[SCRIPT.stem] = module
-    register_pickle_by_value(module)  # workers cannot import it
-    spec.loader.exec_module(module)
-    return module
+    """Return the script as a module that workers can import, because they have the path of this process."""
+    sys.path.insert(0, str(SCRIPT.parent))
+    return importlib.import_module(SCRIPT.stem)
 
 
 def seconds_of(function):
@@ -81,7 +77,7 @@ def scheduler(ensemble, survey):
             time.sleep(0.05)
         replaced = time.perf_counter() - start
         (new,) = set(known) - set(pids)
-        client.submit(ensemble.solve_member, *survey, 200.0, 0.257, workers=[new], pure=False).result()
+        client.submit(ensemble.solve_member, *survey, 200.0, 0.257, workers=[new], pure=False).result(timeout=120)
         print(f"killed worker: replaced after {replaced:.1f} s, first member after {time.perf_counter() - start:.1f} s")
 
 
