@@ -97,6 +97,49 @@ def whole(folder, chunks, size):
     return wall, cpu
 
 
+LOOPS = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import cluster_ensemble as ensemble, hjprofile as hj
+x, height, _ = hj.read_survey(hj.shipped_cases()["hillslope"].with_name("hillslope.csv"))
+ensemble.solve_member(x, height, 200.0, 0.257)
+for chunk in range(int(sys.argv[2]), int(sys.argv[3]), 2):
+    ensemble.solve_chunk(chunk, int(sys.argv[4]), x, height)
+"""
+
+
+def processor_seconds(commands):
+    """Run commands at the same time. Return the processor seconds of them and of their processes."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    for running in [subprocess.Popen(command, stdout=subprocess.DEVNULL) for command in commands]:
+        assert running.wait() == 0
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def marginal(size=100, few=2, many=12, repeats=2):
+    """Print processor time per member of the recipe and of two loops in two processes, in turn; without their starts.
+
+    Other programs change the processor time of a member, so only runs that take turns can be compared.
+    """
+    costs = {"recipe": [], "loops": []}
+    starts = []
+    for _ in range(repeats):
+        taken = {}
+        for chunks in (few, many):
+            with tempfile.TemporaryDirectory() as folder:
+                taken["recipe", chunks] = processor_seconds([command(folder, chunks, size)])
+            start = [sys.executable, "-c", LOOPS, str(SCRIPT.parent)]
+            loops = [[*start, str(first), str(chunks), str(size)] for first in (0, 1)]
+            taken["loops", chunks] = processor_seconds(loops)
+        for name, found in costs.items():
+            found.append((taken[name, many] - taken[name, few]) / ((many - few) * size))
+        starts.append(taken["recipe", few] - few * size * costs["recipe"][-1])
+    for name, found in costs.items():
+        print(f"{name}: {', '.join(f'{1e3 * cost:.2f}' for cost in found)} ms of processor time per member", flush=True)
+    print(f"start of the recipe: {', '.join(f'{start:.1f}' for start in starts)} s of processor time", flush=True)
+
+
 def stopped(folder, chunks, size):
     """Kill the script at 40 % of the chunks, and one worker of the second run. Print the wall seconds of both."""
 
@@ -127,6 +170,7 @@ def main(chunks=100, size=100):
     alone_wall, alone_cpu = loop(ensemble, survey)
     file_of_a_chunk(ensemble, survey, size)
     scheduler(ensemble, survey)
+    marginal()
     folders = [Path(tempfile.mkdtemp()) for _ in range(2)]
     wall, cpu = whole(folders[0], chunks, size)
     members = chunks * size
