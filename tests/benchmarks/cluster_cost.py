@@ -178,11 +178,10 @@ def main(chunks=100, size=100):
     print(f"                     {1e3 * (cpu / members - alone_cpu):.2f} ms of processor time")
     print(f"load of the machine: {os.getloadavg()[0]:.1f}")
     stopped(folders[1], chunks, size)
-    names = [sorted(path.name for path in folder.iterdir()) for folder in folders]
-    same = names[0] == names[1] and all(
-        (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes() for name in names[0]
-    )
-    print(f"the resumed ensemble has the same bytes: {same}")
+    contents = [{path.name: path.read_bytes() for path in folder.iterdir()} for folder in folders]
+    names = sorted(contents[0].keys() | contents[1].keys())
+    differ = [name for name in names if contents[0].get(name) != contents[1].get(name)]
+    print(f"files of the resumed ensemble that differ: {', '.join(differ) or 'none'}")
     for folder in folders:
         shutil.rmtree(folder)
 
