@@ -9,6 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -86,6 +87,16 @@ def read_points(file: Path, columns: Sequence[str | int] | None = None, nodata: 
     """
     require_file(file)
     text, encoding = _decoded(file)
+    missing = tuple(np.asarray(nodata, dtype=float).ravel().tolist())
+    found = _points_of(text, encoding, file, None if columns is None else tuple(columns), missing)
+    return found._replace(x=found.x.copy(), height=found.height.copy(), rows=list(found.rows))
+
+
+@lru_cache(maxsize=4)  # each member of a sweep reads the file of its survey; an edited file has another text
+def _points_of(
+    text: str, encoding: str, file: Path, columns: tuple[str | int, ...] | None, nodata: tuple[float, ...]
+) -> Measured:
+    """Return the points of the text of a file. Raise InputError that names every fault, with rows."""
     rows, separator = _split(text)
     headers, body = _headers(rows)
     if not body:

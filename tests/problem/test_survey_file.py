@@ -1,11 +1,14 @@
 """Files of points in the notations that programs write: what is read, what is reported, what is refused."""
 
+import os
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hjprofile as hj
+from hjprofile.problem import survey_file
 from hjprofile.problem.survey_file import read_points
 
 X = np.arange(0.0, 60.5, 0.5)
@@ -187,3 +190,25 @@ def test_a_spreadsheet_is_no_text(tmp_path):
     path.write_bytes(b"PK\x03\x04" + bytes(200))
     with pytest.raises(hj.InputError, match="is not text; export the table as CSV"):
         read_points(path)
+
+
+def test_a_file_is_parsed_once_and_read_each_time(in_tmp, monkeypatch):
+    """As the members of a sweep do; an edit that leaves size and time unchanged counts, and results may be changed."""
+    parsed = []
+    honest = survey_file._split
+    monkeypatch.setattr(survey_file, "_split", lambda text: parsed.append(text) or honest(text))
+    path = in_tmp / "repeated.csv"
+    path.write_text("x,height\n0,0\n10,20\n25,60\n")
+    first = read_points(path)
+    first.x[0], first.height[0] = -99.0, -99.0
+    first.rows.clear()
+    again = read_points(path)
+    assert (again.x.tolist(), again.height.tolist(), again.rows) == ([0.0, 10.0, 25.0], [0.0, 20.0, 60.0], [2, 3, 4])
+    assert len(parsed) == 1
+    times = path.stat().st_atime_ns, path.stat().st_mtime_ns
+    path.write_text("x,height\n0,0\n10,25\n25,60\n")
+    os.utime(path, ns=times)
+    assert read_points(path).height.tolist() == [0.0, 25.0, 60.0]
+    assert read_points(path, nodata=[25.0]).height.tolist() == [0.0, 60.0]
+    assert read_points(path, columns=[2, 1]).height.tolist() == [0.0, 10.0, 25.0]
+    assert len(parsed) == 4
