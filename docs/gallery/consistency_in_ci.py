@@ -38,9 +38,8 @@ for name, case in cases.items():
         print(f"    {comparison}")
 
 # %%
-# With the mistake, the saved grain flux K does not agree with the law (``saved-K``), and
-# the method for the conservation law loses its second order (``order:conservative``). Yet
-# no run fails, and the two solutions look the same. Their difference shows the mistake.
+# With the mistake, the saved grain flux K does not agree with the law (``saved-K``). Yet no
+# run fails, and the two solutions look the same. Their difference shows the mistake.
 
 fig, (top, bottom) = plt.subplots(2, 1, sharex=True, figsize=(7, 6), layout="constrained")
 differences = {}
