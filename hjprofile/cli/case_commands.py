@@ -33,8 +33,8 @@ def validate(*case: CasePath, quiet: Quiet = False, json: Json = False) -> None:
             solved = f"{loaded.method}, {loaded.grid.cells} cells, to t = {loaded.problem.end:g}"
             say(quiet or json, f"{name}: valid ({solved})")
         found += faults
-        told = [{"message": " ".join(str(fault).split()), "about": fault.about} for fault in faults]
-        reports.append({"case": str(name), "valid": not faults, "faults": told})
+        listed = [{"message": " ".join(str(fault).split()), "about": fault.about} for fault in faults]
+        reports.append({"case": str(name), "valid": not faults, "faults": listed})
     answer(json, {"valid": not found, "cases": reports})
     if found:
         raise InputError.of(found)

@@ -29,8 +29,8 @@ class Given(Protocol):
 def check_parts(profile: Given, left: float, law: ErosionLaw) -> None:
     """Raise InputError if `excess` or `breaks` contradict W between `left` and the crest.
 
-    Difference quotients of W with two steps are compared with q. Positions where they differ from each other, or beside
-    a jump from the next one, are omitted: W is not resolved there.
+    Difference quotients of W with two steps are compared with q. Positions where they differ from each other, or next
+    to a jump from the next one, are omitted: W is not resolved there.
     """
     h = STEP * -left
     breaks = np.asarray(profile.breaks(law), dtype=float)
@@ -49,14 +49,14 @@ def check_parts(profile: Given, left: float, law: ErosionLaw) -> None:
             _compare(profile, law, x[inside] + 1.5 * side * h, h, q[inside], "breaks", side * h)
 
 
-def _compare(profile: Given, law: ErosionLaw, x: Array, h: float, q: Array, name: str, beside: float = 0.0) -> None:
-    """Raise InputError if q at x is not W'. With `beside`, W' must be the same at that distance."""
+def _compare(profile: Given, law: ErosionLaw, x: Array, h: float, q: Array, name: str, shift: float = 0.0) -> None:
+    """Raise InputError if q at x is not W'. W' must be the same at the distance `shift`."""
 
     def slope(at: Array, step: float) -> Array:
         return (np.asarray(profile.W(at + step, law)) - np.asarray(profile.W(at - step, law))) / (2.0 * step)
 
     with np.errstate(all="ignore"):
-        coarse, fine, other = slope(x, h), slope(x, 0.1 * h), slope(x + beside, h)
+        coarse, fine, other = slope(x, h), slope(x, 0.1 * h), slope(x + shift, h)
         resolved = np.maximum(np.abs(coarse - fine), np.abs(coarse - other)) <= AGREE * (1.0 + np.abs(fine))
         wrong = resolved & ~(np.abs(q - coarse) <= APART * (1.0 + np.abs(coarse)))
     if wrong.any():

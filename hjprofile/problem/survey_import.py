@@ -90,7 +90,7 @@ def import_survey(
         reading: `columns`, `nodata`, `uphill`, `from` and `to`, as for `survey`.
 
     Returns:
-        The paths of both files, and an account of what was done and assumed.
+        The paths of both files, and an account of all changes and assumptions.
 
     Raises:
         InputError: for a file that is no survey, or one of two flanks, and if a file exists that would be replaced.

@@ -39,7 +39,7 @@ def inner(function):
     """
     if numba.config.DISABLE_JIT:
         return _interpreted(function)
-    # the options are those of `compiled`, whatever the options of the loop that calls it
+    # the options are those of `compiled`, also in a loop with other options
     return register_jitable(error_model="numpy", no_cfunc_wrapper=True, fastmath=False)(function)
 
 
