@@ -24,7 +24,7 @@ def in_tmp(tmp_path, monkeypatch):
 
 @pytest.fixture
 def call(capsys, monkeypatch):
-    """Runs a command in this process; exit code, stdout, stderr. On a slow machine, too, no line tells the progress."""
+    """Runs a command in this process; exit code, stdout, stderr. No line of progress appears, however slow it is."""
     monkeypatch.setattr(common, "LINE_EVERY", float("inf"))
 
     def call(*arguments):

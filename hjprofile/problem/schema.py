@@ -197,8 +197,8 @@ def choice(name: str, chooser: str = "kind", into: str = "table", **kinds: Kind)
 def with_origin(thing: Any, **origin: Any) -> Any:
     """Return a copy of a dataclass with other values of some fields, also of those that its constructor does not take.
 
-    Such a field tells the origin of the object: the table that makes it again, the hash of a file. A user who
-    constructs the object has none of them.
+    Such a field holds the origin of the object: the table that makes it again, the hash of a file. An object
+    that a user constructs has none.
     """
     made = object.__new__(type(thing))
     vars(made).update({each.name: getattr(thing, each.name) for each in fields(thing)} | origin)

@@ -115,9 +115,9 @@ def place_in_time(time: Array, t: Any) -> tuple[int, float]:
     return before, (asked - float(time[before])) / float(time[before + 1] - time[before])
 
 
-def row_at(time: Array, t: Any, values: Array, logarithmic: bool = False) -> Array:
-    """Return the row of values, shape (times, n), at time t."""
-    before, part = place_in_time(time, t)
+def row_at(place: tuple[int, float], values: Array, logarithmic: bool = False) -> Array:
+    """Return the row of values, shape (times, n), at a place in time."""
+    before, part = place
     return values[before] if part == 0.0 else _between(values[before], values[before + 1], part, logarithmic)
 
 
@@ -185,8 +185,8 @@ class SavedStates:
         >>> state.t, state.u.shape, state.q.shape
         (0.25, (201,), (200,))
         """
-        u, q, K = row_at(self.time, t, self.u), row_at(self.time, t, self.q), row_at(self.time, t, self.K, True)
-        before, part = place_in_time(self.time, t)
+        place = before, part = place_in_time(self.time, t)
+        u, q, K = row_at(place, self.u), row_at(place, self.q), row_at(place, self.K, True)
         kinks = None
         if part == 0.0:
             kinks = tuple(kink.x for kink in self.kinks if kink.time == self.time[before])
@@ -197,8 +197,8 @@ class SavedStates:
 
         Their shape is (times, *x.shape). u is linear between the nodes. q is linear between the midpoints of cells, and
         constant in the outer halves of the first and the last cell. ln K is linear between the nodes, and K itself
-        where it is 0. The error is of second order in the width of a cell, and of first order in the cells beside a
-        kink, where q is only a mean. Raise InputError for positions outside of the domain.
+        where it is 0. The error is of second order in the width of a cell, and of first order in the cells next to
+        a kink, where q is only a mean. Raise InputError for positions outside of the domain.
 
         >>> import hjprofile as hj
         >>> problem = hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=1.0)

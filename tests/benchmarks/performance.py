@@ -134,13 +134,13 @@ def start_up() -> str:
     """Whole processes: `hjprofile run travelling_kink` for the first time ever, and later."""
     found = startup.in_turns([startup.HERE], 5)
 
-    def told(name: str) -> str:
+    def shown(name: str) -> str:
         wall, processor = np.median(found[name, startup.HERE], axis=0)
         return f"{wall:.1f} s ({processor:.1f} s of processor time)"
 
     return (
         "`hjprofile run travelling_kink`, the whole process with its pictures and VTK files, takes "
-        f"{told('first run')} if nothing has been compiled yet, and {told('later run')} afterwards."
+        f"{shown('first run')} if nothing has been compiled yet, and {shown('later run')} afterwards."
     )
 
 
