@@ -7,7 +7,7 @@ import io
 import json
 import tomllib
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import suppress
 from dataclasses import replace
@@ -21,6 +21,7 @@ from hjprofile.errors import InputError
 from hjprofile.output.faults import fault_of
 from hjprofile.output.folder import ResultFolder, owner_of_run
 from hjprofile.output.survey_columns import names_with_survey_columns, with_survey_columns
+from hjprofile.output.workers import by_a_fork
 from hjprofile.problem.ranges import as_path, instance
 from hjprofile.problem.stored import read_profile
 from hjprofile.problem.units import SurveyLine, Units
@@ -88,7 +89,7 @@ def write_results(
     drawn = None
     if plots and helper:
         with suppress(BrokenExecutor):  # without the helper this process draws
-            drawn = helper.submit(_pictures, run)
+            drawn = helper.submit(_drawn_by_two, run)
     data: dict[str, bytes | str] = {
         "profile.nc": netcdf(run),
         "kinks.csv": to_csv(*with_survey_columns(KinkRecord._fields, run.kinks, run.units)),
@@ -124,11 +125,19 @@ def _drawn(run: Run, drawn: Future | None) -> tuple[dict[str, bytes | str], list
         return _pictures(run)
 
 
-def _pictures(run: Run) -> tuple[dict[str, bytes | str], list[str]]:
-    """Return the pictures of a run, and a warning for each that could not be drawn."""
+def _drawn_by_two(run: Run) -> tuple[dict[str, bytes | str], list[str]]:
+    """Return the pictures as `_pictures` does; a fork of this process draws half of them."""
+    half = len(PICTURES) // 2
+    rest = by_a_fork(_pictures, run, PICTURES[half:])
+    (files, failures), (more, others) = _pictures(run, PICTURES[:half]), rest()
+    return files | more, failures + others
+
+
+def _pictures(run: Run, names: Sequence[str] = PICTURES) -> tuple[dict[str, bytes | str], list[str]]:
+    """Return pictures of a run, and a warning for each that could not be drawn."""
     files: dict[str, bytes | str] = {}
     failures: list[str] = []
-    for name in PICTURES:
+    for name in names:
         files |= attempt(failures, f"{name}.png could not be drawn", _picture, run, name)
     return files, failures
 

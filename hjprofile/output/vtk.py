@@ -1,4 +1,4 @@
-"""VTK files for ParaView; the only module that imports pyvista.
+"""VTK files for ParaView; the only module that imports vtkmodules.
 
 Files are serialised in memory and written by Python, because VTK's own writer does not report a full disk.
 """
@@ -9,7 +9,9 @@ from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-import pyvista
+from vtkmodules.util.numpy_support import numpy_to_vtk
+from vtkmodules.vtkCommonCore import vtkDataArray, vtkPoints
+from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkDataSet, vtkFieldData, vtkPolyData, vtkRectilinearGrid
 from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLRectilinearGridWriter
 
 from hjprofile.errors import InputError
@@ -59,7 +61,7 @@ def vtk_files(run: Run) -> dict[str, bytes | str]:
     digits = max(4, len(str(run.time.size)))
     for i, t in enumerate(run.time):
         for name, mesh in (("profile", _profile(run, i)), ("kinks", _kinks(run, i))):
-            mesh.field_data["TimeValue"] = np.array([t])
+            _add(mesh.GetFieldData(), {"TimeValue": np.array([t])})
             file = f"{name}_{i:0{digits}d}.vtp"
             files[file] = _serialise(mesh, vtkXMLPolyDataWriter())
             collections[name].append((float(t), file))
@@ -82,50 +84,78 @@ def _at_nodes(q: Array) -> Array:
     return 0.5 * (padded[..., 1:] + padded[..., :-1])
 
 
-def _profile(run: Run, i: int) -> pyvista.PolyData:
+def _profile(run: Run, i: int) -> vtkPolyData:
     x, u, critical = _places(run, run.x, run.u[i])
     n = run.cells
-    lines = np.column_stack([np.full(n, 2), np.arange(n), np.arange(1, n + 1)]).ravel()
-    mesh = pyvista.PolyData(np.column_stack([x, u, np.zeros(n + 1)]), lines=lines)
-    mesh.point_data["u"] = u
-    mesh.point_data["slope"] = critical * (1.0 + _at_nodes(run.q[i]))
-    mesh.point_data["K"] = run.K[i]
-    mesh.cell_data["q"] = run.q[i]
-    mesh.point_data.active_scalars_name = None
-    mesh.cell_data.active_scalars_name = "q"  # the array by which ParaView colours first
+    mesh = _points(x, u)
+    mesh.SetLines(_cells(2 * np.arange(n + 1), np.column_stack([np.arange(n), np.arange(1, n + 1)])))
+    _add(mesh.GetPointData(), {"u": u, "slope": critical * (1.0 + _at_nodes(run.q[i])), "K": run.K[i]})
+    _add(mesh.GetCellData(), {"q": run.q[i]})
+    mesh.GetCellData().SetActiveScalars("q")  # the array by which ParaView colours first
     return mesh
 
 
-def _kinks(run: Run, i: int) -> pyvista.PolyData:
+def _kinks(run: Run, i: int) -> vtkPolyData:
     kinks = run.kinks_at(i)
     at = np.array([k.x for k in kinks], dtype=float)
     x, u, _ = _places(run, at, np.interp(at, run.x, run.u[i]))
-    # without kinks 0 points instead of an empty mesh, which ParaView rejects
-    mesh = pyvista.PolyData(np.column_stack([x, u, np.zeros(at.size)]))
+    mesh = _points(x, u)
+    mesh.SetVerts(_cells(np.arange(at.size + 1), np.arange(at.size)))
     length = run.units.length if run.units else 1.0
-    mesh.point_data["kink"] = np.array([k.kink for k in kinks], dtype=np.int64)
-    mesh.point_data["jump"] = np.array([k.jump for k in kinks], dtype=float)
-    mesh.point_data["speed"] = length * np.array(
-        [k.rankine_hugoniot_speed if np.isnan(k.speed) else k.speed for k in kinks],
-        dtype=float,  # the kink was found at one saved time only
-    )
-    mesh.point_data.active_scalars_name = "jump"
+    # a kink that was found at one saved time only has no measured speed
+    speed = [k.rankine_hugoniot_speed if np.isnan(k.speed) else k.speed for k in kinks]
+    values = {
+        "kink": np.array([k.kink for k in kinks], dtype=np.int64),
+        "jump": np.array([k.jump for k in kinks], dtype=float),
+        "speed": length * np.array(speed, dtype=float),
+    }
+    _add(mesh.GetPointData(), values)
+    mesh.GetPointData().SetActiveScalars("jump")
     return mesh
 
 
-def _sheet(run: Run) -> pyvista.RectilinearGrid:
+def _sheet(run: Run) -> vtkRectilinearGrid:
     x, u, _ = _places(run, run.x, run.u)
     order = slice(None, None, 1 if x[0] < x[-1] else -1)  # the coordinates of such a grid increase
-    mesh = pyvista.RectilinearGrid(x[order], run.time, np.zeros(1))
-    for axis, name in (("X", "x"), ("Y", "t"), ("Z", "z")):
-        getattr(mesh, f"Get{axis}Coordinates")().SetName(name)  # VTK invents a missing name, a new one in each run
-    for name, values in (("u", u), ("q", _at_nodes(run.q)), ("K", run.K)):
-        mesh.point_data[name] = np.ascontiguousarray(values[:, order]).ravel()
-    mesh.point_data.active_scalars_name = "q"
+    mesh = vtkRectilinearGrid()
+    mesh.SetDimensions(x.size, run.time.size, 1)
+    mesh.SetXCoordinates(_array("x", x[order]))  # VTK invents a missing name, a new one in each run
+    mesh.SetYCoordinates(_array("t", run.time))
+    mesh.SetZCoordinates(_array("z", np.zeros(1)))
+    fields = {"u": u, "q": _at_nodes(run.q), "K": run.K}
+    _add(mesh.GetPointData(), {name: values[:, order].ravel() for name, values in fields.items()})
+    mesh.GetPointData().SetActiveScalars("q")
     return mesh
 
 
-def _serialise(mesh: pyvista.DataSet, writer) -> bytes:
+def _points(x: Array, u: Array) -> vtkPolyData:
+    """Return a mesh with points (x, u, 0) only; it may have none, while ParaView rejects a mesh without points."""
+    points = vtkPoints()
+    points.SetData(_array("Points", np.column_stack([x, u, np.zeros(x.size)])))
+    mesh = vtkPolyData()
+    mesh.SetPoints(points)
+    return mesh
+
+
+def _cells(offsets: Array, points: Array) -> vtkCellArray:
+    """Return cells: the points of cell j are points[offsets[j] : offsets[j + 1]]."""
+    cells = vtkCellArray()
+    cells.SetData(*(numpy_to_vtk(a.astype(np.int64).ravel(), deep=True) for a in (offsets, points)))
+    return cells
+
+
+def _add(data: vtkFieldData, arrays: dict[str, Array]) -> None:
+    for name, values in arrays.items():
+        data.AddArray(_array(name, values))
+
+
+def _array(name: str, values: Array) -> vtkDataArray:
+    array = numpy_to_vtk(np.ascontiguousarray(values), deep=True)
+    array.SetName(name)
+    return array
+
+
+def _serialise(mesh: vtkDataSet, writer) -> bytes:
     writer.SetInputData(mesh)
     writer.SetDataModeToBinary()
     writer.SetCompressionLevel(1)  # 4 % larger files in half the time

@@ -6,7 +6,7 @@ import gc
 import os
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
@@ -28,13 +28,35 @@ def drawing_helper(wanted: bool) -> Iterator[Executor | None]:
         yield None
         return
     import multiprocessing
-    import warnings
 
     with undone(_kill), _workers()(1, multiprocessing.get_context("fork"), _prepare, (os.getpid(),)) as helper:
-        with warnings.catch_warnings():  # Python 3.12 and later warn of all threads, but those here are safe
-            warnings.simplefilter("ignore", DeprecationWarning)
+        with _forking():
             helper.submit(int)  # starts the process now
         yield helper
+
+
+def by_a_fork(function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:
+    """Call a function in a fork of the drawing helper, which has all its imports and data.
+
+    Return a function that waits for the result; it raises EOFError if the fork has ended without one.
+    """
+    import multiprocessing
+
+    context = multiprocessing.get_context("fork")
+    reader, writer = context.Pipe(duplex=False)
+    with writer, _forking():
+        context.Process(target=lambda: writer.send(function(*arguments)), daemon=True).start()
+    return reader.recv
+
+
+@contextmanager
+def _forking() -> Iterator[None]:
+    """Start a fork. Python 3.12 and later warn of all threads, but those of a command and of its helper are safe."""
+    import warnings
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        yield
 
 
 @contextmanager

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.polynomial import polynomial as P
 
 from hjprofile.problem.erosion import Array, ErosionLaw, Function
-from hjprofile.solvers.kernels.law import LawTable
+from hjprofile.solvers.kernels.law import LawTable, Rational
 
 RHO_PIECE = 0.05  # width of the pieces: degree 7 leaves (PIECE/4)^8 = 6e-16
 END_STEP = 0.25  # unit of ln(1 + q) to which the ends of a table are rounded, so that runs of one slope share it
@@ -17,15 +17,14 @@ _Z = np.cos(np.pi * (np.arange(8) + 0.5) / 8)  # sample points of a piece
 _FIT = np.linalg.inv(np.vander(_Z, 8, increasing=True)).T
 
 
-def law_table(law: ErosionLaw, q_least: float, q_most: float) -> LawTable:
-    """Return f(rho), s(rho) and rho(s) for slopes between the two, with rho = ln R(q), to rounding.
+def law_table(law: ErosionLaw, q_least: float, q_most: float) -> Rational | LawTable:
+    """Return the law for the loops: f(rho), s(rho) and rho(s), rho = ln R(q), for slopes between the two, to rounding.
 
     From q = f r follows R' = 1/(f + df/drho). Along a piece of constant I, where R' q_x = -q, s = q exp ∫ (1/R'(0) -
     1/R')/f drho decays as exp(-x/R'(0)).
     """
     if law.name == "rational":
-        empty = np.empty((0, 8))
-        return LawTable(empty, empty, empty, 0.0, 0.0, 1.0, 1.0, 1.0)
+        return Rational()
     low, high = np.log1p([q_least, q_most]) / END_STEP
     return _tabulated(law.f, law.R, END_STEP * float(np.floor(low)), END_STEP * float(np.ceil(high)))
 

@@ -22,6 +22,7 @@ from scipy.io import netcdf_file
 import hjprofile
 from hjprofile.errors import InputError
 from hjprofile.files import write_whole
+from hjprofile.output import store
 from hjprofile.output.folder import RECORD, Owner, ResultFolder, owner_of_run
 from hjprofile.output.store import load_run, summary, to_json, write_results, write_run
 from hjprofile.problem.case import parse_case
@@ -445,6 +446,44 @@ def test_pictures_are_drawn_even_if_the_helper_is_lost(tmp_path, at_once):
     place = ResultFolder(tmp_path, owner_of_run(run.case)).open()
     _, files = write_results(run, place, vtk=False, plots=True, helper=LostHelper(at_once))
     assert {tmp_path / "profile.png", tmp_path / "diagram.png"} <= set(files)
+
+
+class DrawnHere:
+    """An executor that is this process."""
+
+    def submit(self, function, *arguments):
+        future = Future()
+        try:
+            future.set_result(function(*arguments))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="the helper is a fork")
+@pytest.mark.parametrize("killed", [False, True])
+def test_a_fork_of_the_helper_draws_half_of_the_pictures(tmp_path, monkeypatch, killed):
+    run, files, this = solved("kinks"), {}, os.getpid()
+    drawn_by = tmp_path / "drawn_by"
+
+    def picture(run, name, here=store._picture):
+        with drawn_by.open("a") as file:
+            file.write(f"{os.getpid()}\n")
+        if killed and os.getpid() != this:
+            os._exit(1)
+        return here(run, name)
+
+    monkeypatch.setattr(store, "_picture", picture)
+    for helper in (DrawnHere(), None):
+        place = ResultFolder(tmp_path / str(helper is None), owner_of_run(run.case)).open()
+        written = write_results(run, place, vtk=False, plots=True, helper=helper)[1]
+        files[helper] = {file.name: file.read_bytes() for file in written if file.suffix == ".png"}
+    alone, shared = files.values()
+    assert alone == shared and len(alone) == 4
+    by_others = [int(line) != this for line in drawn_by.read_text().split()]
+    # the fork dies at its first picture; this process then draws all four
+    assert sum(by_others) == (1 if killed else 2)
+    assert len(by_others) == (2 + 1 + 4 + 4 if killed else 4 + 4)
 
 
 def test_halves_that_a_killed_run_left_are_removed(tmp_path):

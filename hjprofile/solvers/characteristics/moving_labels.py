@@ -15,7 +15,7 @@ from hjprofile.solvers.characteristics.kernels import label_motion as kernels
 from hjprofile.solvers.characteristics.kernels.labels import Medium, Stages, after_start, before_end
 from hjprofile.solvers.characteristics.panels import POINTS, RULE, TAIL, Panels, interpolation, tails
 from hjprofile.solvers.kernels.dormand_prince import STAGES, state_within, tableau
-from hjprofile.solvers.kernels.law import LawTable, law_q_f
+from hjprofile.solvers.kernels.law import LawTable, Rational, law_q_f
 from hjprofile.solvers.run import Array, Event, KinkRecord
 from hjprofile.solvers.snapshots import Lost, Solution
 from hjprofile.solvers.stop import Place, Reason, Stop, Time
@@ -54,7 +54,7 @@ class _Stretch:
 class MovingLabels(Solution):
     """Moving characteristics, to a tolerance of W; `patience` is the remaining work in seconds."""
 
-    def __init__(self, problem: Problem, panels: Panels, table: LawTable, tolerance: float, patience: float):
+    def __init__(self, problem: Problem, panels: Panels, table: Rational | LawTable, tolerance: float, patience: float):
         self.table, self.requested, self.end, self.patience = table, tolerance, float(problem.end), patience
         # births depend on X_ξ and q, so errors must be small relative to the narrowest panel and the largest q
         narrowest, largest = float(panels.mesh.half.min()), float(np.abs(panels.r - problem.law.R(0.0)).max())
@@ -234,7 +234,7 @@ class MovingLabels(Solution):
             sides.append(float(row @ panels.r[p]))
             with np.errstate(over="ignore"):  # the status reports such a K
                 K = sides[1] * np.exp(row @ self.stages.S[p] + self.stages.c[k + 1])
-            (q0, f0), (q1, f1) = (law_q_f(r, self.table) for r in sides)
+            (q0, f0), (q1, f1) = (map(float, law_q_f(r, self.table)) for r in sides)
             if q1 > q0:
                 speed = float(K * (f1 - f0) / (q1 - q0))
                 records.append(KinkRecord(self.now.t, panels.number[k], x, q0, q1, q1 - q0, speed, speed))

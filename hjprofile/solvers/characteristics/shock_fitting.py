@@ -19,7 +19,7 @@ from hjprofile.solvers.characteristics.label_events import FINE
 from hjprofile.solvers.characteristics.moving_labels import MovingLabels
 from hjprofile.solvers.characteristics.panels import Panels, cut_into_panels, interpolation
 from hjprofile.solvers.invariant import law_table
-from hjprofile.solvers.kernels.law import LawTable, law_q_f
+from hjprofile.solvers.kernels.law import LawTable, Rational, law_q_f
 from hjprofile.solvers.run import Array, Run
 from hjprofile.solvers.snapshot_bounds import BOUNDS, SnapshotBounds
 from hjprofile.solvers.snapshots import assembled, walk
@@ -100,7 +100,7 @@ def _march(
 
 
 @np.errstate(over="ignore")  # R is 0 where f overflows, far from the root
-def _table(problem: Problem, panels: Panels) -> LawTable:
+def _table(problem: Problem, panels: Panels) -> Rational | LawTable:
     """Return the table of the law over all values that r may take: dead labels exceed the range of living ones."""
     from scipy.optimize import brentq
 

@@ -17,7 +17,7 @@ from hjprofile.solvers.fronts.kernels.moving_fronts import Control, Workspace, a
 from hjprofile.solvers.fronts.tracker import KINK, Tracker
 from hjprofile.solvers.invariant import law_table
 from hjprofile.solvers.kernels.dormand_prince import STAGES, tableau
-from hjprofile.solvers.kernels.law import LawTable, law_q_f, start_pieces
+from hjprofile.solvers.kernels.law import LawTable, Rational, law_q_f, start_pieces
 from hjprofile.solvers.run import Array
 
 TIME = 1.0  # largest error of the time steps, in areas of a piece; measured: a tenth of the error in space
@@ -35,7 +35,7 @@ TOLERANCE = 1e-13  # of one step of the exact integration
 class FrontTracker(Tracker):
     """Fronts under a law of sublinear growth."""
 
-    def __init__(self, data: FrontData, table: LawTable, exact: bool, end: float = 1.0):
+    def __init__(self, data: FrontData, table: Rational | LawTable, exact: bool, end: float = 1.0):
         capacity = max(data.x.size, 1)
         super().__init__(data, exact, end, capacity)
         self.x, self.jump, self.label = data.x.copy(), data.jump.copy(), data.label.copy()
@@ -93,10 +93,11 @@ class FrontTracker(Tracker):
         left, right, slope, K = self._sweep()
         law = self.medium.law
         for j in np.flatnonzero(self.label[: self.n] > 0).tolist():
-            yield j, law_q_f(left[j], law)[0], law_q_f(right[j], law)[0], float(K[j] * slope[j])
+            q_left, q_right = (float(law_q_f(r[j], law)[0]) for r in (left, right))
+            yield j, q_left, q_right, float(K[j] * slope[j])
 
 
-def _table(law: ErosionLaw, least: float, ceiling: float) -> LawTable:
+def _table(law: ErosionLaw, least: float, ceiling: float) -> Rational | LawTable:
     """Return the tables of a law for q >= least and R(q) <= 1.1 ceiling."""
     q = 1.0
     while law.R(q) < 1.1 * ceiling:
@@ -104,7 +105,7 @@ def _table(law: ErosionLaw, least: float, ceiling: float) -> LawTable:
     return law_table(law, least, q)
 
 
-def _start_of_pieces(law: ErosionLaw, table: LawTable, mass: Array, h: Array) -> Array:
+def _start_of_pieces(law: ErosionLaw, table: Rational | LawTable, mass: Array, h: Array) -> Array:
     """Return r at the left ends of pieces."""
     if law.name == "rational":
         return 1.0 + mass / -np.expm1(-h)

@@ -1,8 +1,8 @@
-"""Tabulated erosion law in the variables of the invariant.
+"""Erosion law in the variables of the invariant: the rational law by its formula, any other as a table.
 
 Where I = W + R(q) is constant in x, r = R(q) satisfies (ln r)_x = -f, and K/r is constant (§13). The tables are
 polynomials over rho = ln r. They contain the coordinate s(rho) = q exp(..) in which the decay is linear: s(x) = s(0)
-exp(-rate x), rate = 1/R'(0). For the rational law r = 1 + q and s = q.
+exp(-rate x), rate = 1/R'(0). For the rational law r = 1 + q and s = q. The type of the law selects the code.
 """
 
 import math
@@ -10,11 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hjprofile.solvers.kernels import compiled, inner
+from hjprofile.solvers.kernels import by_type, compiled, inner
+
+
+class Rational(NamedTuple):
+    """f = q/(1+q)."""
 
 
 class LawTable(NamedTuple):
-    """Polynomials on pieces of equal width, in the local variable of [-1, 1]; all empty for the rational law.
+    """Polynomials on pieces of equal width, in the local variable of [-1, 1].
 
     Attributes:
         f, s: over rho, rows of coefficients from the constant upwards.
@@ -71,7 +75,7 @@ def law_derivatives(rho, law):
     return f, f1 * (2.0 * law.density), f2 * (2.0 * law.density) ** 2
 
 
-@compiled
+@inner
 def law_flow(rho, h, law):
     """Return rho at a distance h (of either sign) to the right at constant I, not below the lower end of the table."""
     s = polynomial(law.s, law.start, law.density, rho) * math.exp(-law.rate * h)
@@ -79,21 +83,25 @@ def law_flow(rho, h, law):
     return polynomial(law.rho, law.sigma_start, law.density, max(sigma, law.sigma_start))
 
 
-@compiled
+@by_type
 def law_decay(r, h, law):
     """Return r at a distance h (of either sign) to the right at constant I."""
-    if law.f.shape[0] == 0:
-        return 1.0 + (r - 1.0) * math.exp(-h)
-    return math.exp(law_flow(math.log(r), h, law))
+    if law.instance_class is Rational:
+        return lambda r, h, law: 1.0 + (r - 1.0) * math.exp(-h)
+    return lambda r, h, law: math.exp(law_flow(math.log(r), h, law))
 
 
-@compiled
+@by_type
 def law_q_f(r, law):
     """Return q and f at r."""
-    if law.f.shape[0] == 0:
-        return r - 1.0, 1.0 - 1.0 / r
-    f = law_f(math.log(r), law)
-    return f * r, f
+    if law.instance_class is Rational:
+        return lambda r, law: (r - 1.0, 1.0 - 1.0 / r)
+
+    def tabulated(r, law):
+        f = law_f(math.log(r), law)
+        return f * r, f
+
+    return tabulated
 
 
 @compiled

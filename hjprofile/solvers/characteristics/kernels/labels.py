@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hjprofile.solvers.kernels import compiled
-from hjprofile.solvers.kernels.law import LawTable, law_derivatives
+from hjprofile.solvers.kernels import by_type, compiled
+from hjprofile.solvers.kernels.law import LawTable, Rational, law_derivatives
 
 # Residuals of X and W, absolute for a distance X of at most 1 and relative for a longer one
 RESIDUAL_FOUND = 4e-15  # at which the labels of a shock are found; below it Newton's step is rounding
@@ -61,7 +61,7 @@ class Medium(NamedTuple):
 
     mesh: Mesh
     rule: Rule
-    law: LawTable
+    law: Rational | LawTable
 
 
 class Shocks(NamedTuple):
@@ -150,13 +150,17 @@ def after_start(off, k, mesh):
     return p, off / mesh.half[p] - 1.0
 
 
-@compiled
+@by_type
 def law_terms(r, law):
     """Return f, df/drho and q at r."""
-    if law.f.shape[0] == 0:
-        return 1.0 - 1.0 / r, 1.0 / r, r - 1.0
-    f, f1, _ = law_derivatives(math.log(r), law)
-    return f, f1, f * r
+    if law.instance_class is Rational:
+        return lambda r, law: (1.0 - 1.0 / r, 1.0 / r, r - 1.0)
+
+    def tabulated(r, law):
+        f, f1, _ = law_derivatives(math.log(r), law)
+        return f, f1, f * r
+
+    return tabulated
 
 
 @compiled

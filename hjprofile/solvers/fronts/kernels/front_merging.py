@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hjprofile.solvers.kernels import inner
+from hjprofile.solvers.kernels import by_type, inner
 from hjprofile.solvers.kernels.journal import BIRTH, EXIT, MERGE, new_label, note
-from hjprofile.solvers.kernels.law import law_decay, law_q_f
+from hjprofile.solvers.kernels.law import Rational, law_decay, law_q_f
 
 
 class Stack(NamedTuple):
@@ -33,14 +33,29 @@ def meeting(xa, ra, xb, rb, jump, span, law):
     The jump of I from a to b is `jump`. A merged front at this position keeps W continuous and the mass to its right
     unchanged. `span` is the extent of all fronts that merge.
     """
-    if law.f.shape[0] == 0:
-        # 1 + (rb-1) e^{-(x-xb)} - 1 - (ra-1) e^{-(x-xa)} = jump; distances from the middle
-        m = 0.5 * (xa + xb)
-        ratio = ((rb - 1.0) * math.exp(xb - m) - (ra - 1.0) * math.exp(xa - m)) / jump
-        x = m + math.log(ratio) if ratio > 0.0 else m
-    else:
+    x = same_W(xa, ra, xb, rb, jump, law)
+    # The position lies between xa and xb if both jumps have the same sign, outside otherwise. It is undefined if the
+    # net jump vanishes.
+    m, most = 0.5 * (xa + xb), 20.0 * span
+    return min(max(x, m - most), m + most) if x == x else m
+
+
+@by_type
+def same_W(xa, ra, xb, rb, jump, law):
+    """Return the position for `meeting`, for which any result but a finite one means that there is none."""
+    if law.instance_class is Rational:
+
+        def rational(xa, ra, xb, rb, jump, law):
+            # 1 + (rb-1) e^{-(x-xb)} - 1 - (ra-1) e^{-(x-xa)} = jump; distances from the middle
+            m = 0.5 * (xa + xb)
+            ratio = ((rb - 1.0) * math.exp(xb - m) - (ra - 1.0) * math.exp(xa - m)) / jump
+            return m + math.log(ratio) if ratio > 0.0 else m
+
+        return rational
+
+    def tabulated(xa, ra, xb, rb, jump, law):
         x = 0.5 * (xa + xb)
-        for _ in range(4):
+        for _ in range(4):  # Newton
             r1 = law_decay(ra, x - xa, law)
             r2 = law_decay(rb, x - xb, law)
             dq = law_q_f(r2, law)[0] - law_q_f(r1, law)[0]
@@ -50,10 +65,9 @@ def meeting(xa, ra, xb, rb, jump, span, law):
             x += dx
             if abs(dx) < 1e-15:
                 break
-    # The position lies between xa and xb if both jumps have the same sign, outside otherwise. It is undefined if the
-    # net jump vanishes.
-    m, most = 0.5 * (xa + xb), 20.0 * span
-    return min(max(x, m - most), m + most) if x == x else m
+        return x
+
+    return tabulated
 
 
 @inner

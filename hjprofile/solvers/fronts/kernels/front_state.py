@@ -9,8 +9,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hjprofile.solvers.kernels import compiled, inner
-from hjprofile.solvers.kernels.law import LawTable, law_decay, law_derivatives, law_f, law_flow, law_q_f
+from hjprofile.solvers.kernels import by_type, compiled, inner
+from hjprofile.solvers.kernels.law import (
+    LawTable,
+    Rational,
+    law_decay,
+    law_derivatives,
+    law_f,
+    law_flow,
+    law_q_f,
+)
 
 
 class Fronts(NamedTuple):
@@ -35,7 +43,7 @@ class Medium(NamedTuple):
 
     r0: float
     near: float
-    law: LawTable
+    law: Rational | LawTable
 
 
 class Sides(NamedTuple):
@@ -63,18 +71,36 @@ def sweep(x, jump, n, crest, medium, sides):
     `jump` holds the jumps of I; x = 0 lies right of front `crest`. Positions may be out of order: pieces of negative
     length continue the same formula.
     """
-    law, near = medium.law, medium.near
-    r_left, r_right, slope, K = sides.r_left, sides.r_right, sides.slope, sides.K
-    if law.f.shape[0] == 0:
-        q = medium.r0 - 1.0
-        for j in range(n):
-            r_left[j] = 1.0 + q
-            q += jump[j]
-            r_right[j] = 1.0 + q
-            slope[j] = 1.0 / (r_left[j] * r_right[j])
-            if j < n - 1:
-                q *= math.exp(x[j] - x[j + 1])
-    else:
+    law, r_left, r_right, K = medium.law, sides.r_left, sides.r_right, sides.K
+    sweep_r(x, jump, n, medium, law, sides)
+    if n > 0:
+        K[crest] = r_right[crest] / law_decay(r_right[crest], -x[crest], law)
+    for j in range(crest - 1, -1, -1):
+        K[j] = K[j + 1] * r_right[j] / r_left[j + 1]
+    for j in range(crest + 1, n):
+        K[j] = K[j - 1] * r_left[j] / r_right[j - 1]
+
+
+@by_type
+def sweep_r(x, jump, n, medium, law, sides):
+    """Fill r on the left and right of the first n fronts and the slope, from left to right."""
+    if law.instance_class is Rational:
+
+        def rational(x, jump, n, medium, law, sides):
+            r_left, r_right, slope = sides.r_left, sides.r_right, sides.slope
+            q = medium.r0 - 1.0
+            for j in range(n):
+                r_left[j] = 1.0 + q
+                q += jump[j]
+                r_right[j] = 1.0 + q
+                slope[j] = 1.0 / (r_left[j] * r_right[j])
+                if j < n - 1:
+                    q *= math.exp(x[j] - x[j + 1])
+
+        return rational
+
+    def tabulated(x, jump, n, medium, law, sides):
+        r_left, r_right, slope = sides.r_left, sides.r_right, sides.slope
         rho, r = math.log(medium.r0), medium.r0
         for j in range(n):
             f_left = law_f(rho, law)
@@ -89,17 +115,13 @@ def sweep(x, jump, n, crest, medium, sides):
                 slope[j] = (f1 - middle * f2) / ((f1 + f - middle * (f1 + f2)) * r_right[j] * (1.0 - middle))
             if j < n - 1:
                 h = x[j + 1] - x[j]
-                if abs(h) * (1.0 + abs(f)) <= near:
+                if abs(h) * (1.0 + abs(f)) <= medium.near:
                     rho = rho_right - h * f * (1.0 - 0.5 * h * (f1 - h / 3.0 * (f1 * f1 + f * f2)))
                 else:
                     rho = law_flow(rho_right, h, law)
                 r = math.exp(rho)
-    if n > 0:
-        K[crest] = r_right[crest] / law_decay(r_right[crest], -x[crest], law)
-    for j in range(crest - 1, -1, -1):
-        K[j] = K[j + 1] * r_right[j] / r_left[j + 1]
-    for j in range(crest + 1, n):
-        K[j] = K[j - 1] * r_left[j] / r_right[j - 1]
+
+    return tabulated
 
 
 @inner

@@ -10,14 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from hjprofile.solvers.kernels import by_type, inner, vectorised
+from hjprofile.solvers.kernels.law import Rational
 
 PIECES = 9  # log2 of the number of pieces in each binade of 1 + q
 SHIFT = 52 - PIECES  # bits of a double that hold the position of 1 + q within its piece
 LANES = 64  # time levels that the sweeps of wavefront.py advance at once
-
-
-class Rational(NamedTuple):
-    """f = q/(1+q)."""
 
 
 class Tabulated(NamedTuple):
