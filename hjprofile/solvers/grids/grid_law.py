@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hjprofile.problem.erosion import Array, ErosionLaw, Function
-from hjprofile.solvers.grids.kernels.sweep_law import PIECES, SHIFT, Linear, Rational, Tabulated, values
+from hjprofile.solvers.grids.kernels.sweep_law import LANES, PIECES, SHIFT, Linear, Rational, Tabulated, values
 
 HEADROOM = 5  # binades of 1 + q in a table above the data, because q grows along characteristics
 STEEPEST = 32  # binades of 1 + q in the table of a law of linear growth: a jump of u in one cell is q = m/Δx
@@ -49,8 +49,8 @@ def grid_law(law: ErosionLaw, q: Array) -> GridLaw:
     left, right = slopes[:-1], slopes[1:]  # the cubic has the values and the slopes of f at both ends
     mean = np.diff(at_ends) / h
     c = np.column_stack([at_ends[:-1], left, (3.0 * mean - 2.0 * left - right) / h, (left + right - 2.0 * mean) / h**2])
-
-    kernel = (Linear if law.grows_linearly else Tabulated)(c, first)
+    work = np.zeros(LANES, np.uint64), np.zeros(4 * LANES)
+    kernel = (Linear if law.grows_linearly else Tabulated)(c.ravel(), first, *work)
 
     def f(q):
         return _values(q, kernel)[0]

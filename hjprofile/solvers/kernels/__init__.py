@@ -43,6 +43,17 @@ def inner(function):
     return register_jitable(error_model="numpy", no_cfunc_wrapper=True, fastmath=False)(function)
 
 
+def inlined(function):
+    """Prepare a function as `inner` does, for `vectorised` loops; LLVM puts its code into each loop that calls it.
+
+    A call would copy the descriptions of its arrays and count references to them, which takes longer than 64 lanes.
+    """
+    if numba.config.DISABLE_JIT:
+        return _interpreted(function)
+    options = {"error_model": "numpy", "no_cfunc_wrapper": True, "fastmath": {"contract"}, "forceinline": True}
+    return register_jitable(**options)(function)
+
+
 def by_type(choose):
     """Return a function for loops whose code is chosen by type: `choose` takes the types of the arguments."""
     known = {}
@@ -54,7 +65,7 @@ def by_type(choose):
             known[kinds] = choose(*map(numba.typeof, arguments))
         return known[kinds](*arguments)
 
-    overload(chosen)(choose)
+    overload(chosen, jit_options={"forceinline": True})(choose)
     return chosen
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hjprofile.solvers.kernels import by_type, inner, vectorised
+from hjprofile.solvers.kernels import by_type, inlined, inner, vectorised
 from hjprofile.solvers.kernels.law import Rational
 
 PIECES = 9  # log2 of the number of pieces in each binade of 1 + q
@@ -24,26 +24,37 @@ class Tabulated(NamedTuple):
     that differ by rounding have nearly the same f and f', also if they lie in different pieces.
 
     Attributes:
-        c: the coefficients, shape (pieces, 4): those of a piece lie in one line of the processor's cache.
+        c: the coefficients, those of a piece one after another: c[4 j : 4 j + 4] of piece j.
         first: leading bits of the first piece.
+        start, found: work arrays of LANES and 4 LANES, so a table belongs to one run.
     """
 
     c: np.ndarray
     first: int
+    start: np.ndarray
+    found: np.ndarray
 
 
 class Linear(Tabulated):
     """The same table for a law of linear growth: f Δx is not small where the profile jumps (§11)."""
 
 
+# unsigned integers, because numba checks signed indices for negative ones, and shifts of them do not vectorise
 @vectorised
-def _bits(x):
-    return np.float64(x).view(np.int64)
+def _piece(x):
+    return np.float64(x).view(np.uint64) >> np.uint64(SHIFT)
 
 
 @vectorised
-def _double(bits):
-    return np.int64(bits).view(np.float64)
+def _left_end(piece):
+    return np.uint64(piece << np.uint64(SHIFT)).view(np.float64)
+
+
+@vectorised
+def _place(p, law):
+    """Return where the coefficients of the piece of p start, and the distance of p from its left end."""
+    piece = _piece(p)
+    return (piece - np.uint64(law.first)) << np.uint64(2), p - _left_end(piece)
 
 
 @vectorised
@@ -52,40 +63,42 @@ def positive(p):
     return p if p > 0.0 else 0.0
 
 
-@vectorised
-def _confine(p, law):
-    """Clip an array of lanes to the range of the table."""
-    least = _double(law.first << SHIFT)
-    most = _double(((law.first + law.c.shape[0]) << SHIFT) - 1)
+@inlined
+def _look_up(p, law):
+    """Copy the coefficients of the piece of each lane of p to `found`, and replace p by the distance from its left end.
+
+    Values outside the table are replaced by its ends. Only the second loop does not vectorise.
+    """
+    c, start, found, first = law.c, law.start, law.found, np.uint64(law.first)
+    least, end = _left_end(first), (first + (np.uint64(c.size) >> np.uint64(2))) << np.uint64(SHIFT)
+    most = np.uint64(end - np.uint64(1)).view(np.float64)
     for l in range(LANES):
         inside = p[l] if p[l] > least else least
-        p[l] = inside if inside < most else most
-
-
-@vectorised
-def _place(p, law):
-    """Return the piece that contains p, and the distance from the left end of the piece."""
-    piece = _bits(p) >> SHIFT
-    # unsigned: numba omits the check for a negative index
-    return np.uint64(piece - law.first), p - _double(piece << SHIFT)
-
-
-@vectorised
-def _read(p, law, f, df):
-    _confine(p, law)
+        start[l], p[l] = _place(inside if inside < most else most, law)
     for l in range(LANES):
-        j, s = _place(p[l], law)
-        c1, c2, c3 = law.c[j, 1], law.c[j, 2], law.c[j, 3]
-        f[l] = law.c[j, 0] + s * (c1 + s * (c2 + s * c3))
+        at, to = start[l], np.uint64(4 * l)
+        # all are read before the first is written, so they are copied at once
+        c0, c1, c2, c3 = c[at], c[at + np.uint64(1)], c[at + np.uint64(2)], c[at + np.uint64(3)]
+        found[to], found[to + np.uint64(1)], found[to + np.uint64(2)], found[to + np.uint64(3)] = c0, c1, c2, c3
+
+
+@inlined
+def _read(p, law, f, df):
+    _look_up(p, law)
+    c = law.found
+    for l in range(LANES):
+        s, c1, c2, c3 = p[l], c[4 * l + 1], c[4 * l + 2], c[4 * l + 3]
+        f[l] = c[4 * l] + s * (c1 + s * (c2 + s * c3))
         df[l] = c1 + s * (2.0 * c2 + 3.0 * s * c3)
 
 
-@vectorised
+@inlined
 def _read_f(p, law, f):
-    _confine(p, law)
+    _look_up(p, law)
+    c = law.found
     for l in range(LANES):
-        j, s = _place(p[l], law)
-        f[l] = law.c[j, 0] + s * (law.c[j, 1] + s * (law.c[j, 2] + s * law.c[j, 3]))
+        s = p[l]
+        f[l] = c[4 * l] + s * (c[4 * l + 1] + s * (c[4 * l + 2] + s * c[4 * l + 3]))
 
 
 @by_type
@@ -93,7 +106,7 @@ def slope_at_zero(law):
     """Return f'(0)."""
     if law.instance_class is Rational:
         return lambda law: 1.0
-    return lambda law: law.c[(_bits(1.0) >> SHIFT) - law.first, 1]
+    return lambda law: law.c[_place(1.0, law)[0] + np.uint64(1)]
 
 
 @by_type
@@ -101,7 +114,7 @@ def curvature_at_zero(law):
     """Return f''(0)."""
     if law.instance_class is Rational:
         return lambda law: -2.0
-    return lambda law: 2.0 * law.c[(_bits(1.0) >> SHIFT) - law.first, 2]
+    return lambda law: 2.0 * law.c[_place(1.0, law)[0] + np.uint64(2)]
 
 
 @by_type
@@ -112,7 +125,7 @@ def is_table(law):
 
 @by_type
 def read(p, law, f, df):
-    """Fill f and f' at 1 + q = p, arrays of lanes, if the law is a table."""
+    """Fill f and f' at 1 + q = p, arrays of lanes, if the law is a table; p is overwritten."""
     if law.instance_class is Rational:
         return lambda p, law, f, df: None
     return lambda p, law, f, df: _read(p, law, f, df)
@@ -120,7 +133,7 @@ def read(p, law, f, df):
 
 @by_type
 def read_f(p, law, f):
-    """Fill f alone at 1 + q = p, if the law is a table."""
+    """Fill f alone at 1 + q = p, if the law is a table; p is overwritten."""
     if law.instance_class is Rational:
         return lambda p, law, f: None
     return lambda p, law, f: _read_f(p, law, f)
