@@ -68,6 +68,10 @@ class Grid:
         """The midpoints of the cells, shape (cells,), read-only."""
         return self._at(np.arange(self.cells - 0.5, 0, -1))
 
+    def centre(self, cell: int) -> float:
+        """Return the midpoint of a cell, as in `centres`."""
+        return float(self._at(np.array([self.cells - 0.5 - cell]))[0])
+
     def _at(self, cells_from_right: np.ndarray) -> np.ndarray:
         x = (self.left - self.right) * (cells_from_right / self.cells)
         return read_only(x + self.right if self.right else x)

@@ -1,5 +1,7 @@
 """What each method promises, on random data as rough as the theory admits; and that broken schemes are told."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from grid_methods import solve_by
@@ -7,6 +9,7 @@ from random_steps import LAWS, random_problem
 
 import hjprofile as hj
 from hjprofile.problem.profiles import steps
+from hjprofile.solvers.grids import grid_law
 from hjprofile.solvers.grids import hamilton_jacobi as hj_form
 from hjprofile.solvers.grids.bounds_monitor import MONOTONE, BoundsMonitor
 from hjprofile.solvers.grids.kernels import watch
@@ -201,3 +204,45 @@ def test_bounds_hold_for_a_profile_that_begins_at_the_left_end():
     problem = hj.Problem(hj.rational(), steps([-1.0, -0.5], [0.5]), end=0.1, snapshots=2)
     run = hj.solve_hj(problem, hj.Grid(-1.0, 50), "godunov")
     assert run.q[0, 0] == pytest.approx(0.5) and "tv_growth" in run.bounds and run.broken_bounds == []
+
+
+@pytest.mark.parametrize("form", ["hj", "conservative"])
+def test_a_grid_of_many_blocks_has_the_verdicts_of_one_block(form, monkeypatch):
+    """The last block has one cell. Sums differ by rounding, extremes do not differ."""
+    problem = hj.Problem(hj.rational(), hj.bumps([0.8, -0.3], [-3.0, -1.5], [0.7, 0.4]), end=0.5, snapshots=2)
+
+    def run():
+        solve, method = (hj.solve_hj, "godunov") if form == "hj" else (hj.solve_conservative, "conservative-godunov")
+        return solve(problem, hj.Grid(-6.0, 361), method)
+
+    one = run()
+    monkeypatch.setattr(grid_law, "BLOCK", 60)
+    assert [b - a for a, b in grid_law.blocks(361)] == [60] * 6 + [1]
+    many = run()
+    for name in ("u", "q", "K"):
+        assert np.array_equal(getattr(many, name), getattr(one, name))
+    assert (
+        many.bounds.keys() == one.bounds.keys() and {"kruzkov", "flux_maximum", "flux_variation"} <= one.bounds.keys()
+    )
+    for name, verdict in one.bounds.items():
+        assert many.bounds[name].worst_margin == pytest.approx(verdict.worst_margin, rel=1e-9), name
+
+
+@pytest.mark.parametrize("method", ["local-lax-friedrichs", "godunov", "telescoping", "conservative"])
+def test_the_memory_of_a_run_is_that_of_14_arrays(method):
+    """Six of them are the result with two saved times, and two its positions."""
+    solve = hj.solve_conservative if method == "conservative" else hj.solve_hj
+    cells = 200_000
+
+    def run(n):
+        problem = hj.Problem(hj.rational(), hj.kinks([-3.0], [1.0]), end=200.0 / n, snapshots=2)
+        return solve(problem, hj.Grid(-5.0, n), method)
+
+    run(2000)  # compiles
+    tracemalloc.start()
+    try:
+        assert run(cells).done
+        arrays = tracemalloc.get_traced_memory()[1] / (8 * cells)
+    finally:
+        tracemalloc.stop()
+    assert 8.0 < arrays <= 14.0

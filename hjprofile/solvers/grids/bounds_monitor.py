@@ -10,11 +10,13 @@ import numpy as np
 from hjprofile.problem import Problem
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.grids.flux import Flux
+from hjprofile.solvers.grids.grid_law import blocks
 from hjprofile.solvers.grids.kernels import watch
 from hjprofile.solvers.norms import invariant_variation
 from hjprofile.solvers.run import Array, Halt, State, Verdict
 
 ROUNDOFF = 1e-10  # relative rounding error; 1e5 steps sum errors of 1e-16 each, in the worst case all of one sign
+HALO = 2  # cells beyond a block whose values its nodes need after a step
 EXACT, FIRST_ORDER = "rounding", "first order in dx"  # accuracy to which a method satisfies a bound
 
 # Accuracy to which a method satisfies each bound, None if it is not guaranteed. The first mapping is for monotone
@@ -134,7 +136,6 @@ class BoundsMonitor:
         self.flux_seen = (np.inf, np.inf)
         self.t = self.rate = self.tv_source = self.growth_allowed = 0.0
         self.steps_observed, self.steps_frozen = 0, -self.FROZEN_STEPS
-        self.ln_K = np.zeros(grid.cells + 1)
 
     def wants(self, state: State) -> bool:
         return state.steps - self.steps_observed >= self.STEPS or state.t - self.t >= self.pause
@@ -142,7 +143,7 @@ class BoundsMonitor:
     def observe(self, state: State) -> None:
         """Update the margins of all bounds. Raise Halt if a bound that stops a run is violated."""
         q, dx, t, grid = state.q, self.grid.dx, state.t, self.grid
-        ln_K = self.ln_K[: q.size + 1]
+        ln_K = np.empty(q.size + 1)
         mass, norm, least, most, variation, ln_K_min, ln_K_max, K_f2, tv_source = watch.survey(q, dx, state.law, ln_K)
         variation += 0.0 if self.inflow else abs(float(q[0]))  # the slope is neutral left of these cells
         rate = dx * (K_f2 + state.speed * variation)
@@ -167,7 +168,7 @@ class BoundsMonitor:
         self._record("volume_budget", small + (0.0 if exactly else self.budget_allowance), off)
 
         def place(index: int) -> float:
-            return float(grid.centres[state.first + index])
+            return grid.centre(state.first + index)
 
         self._record("minimum_principle", ROUNDOFF, self.floor - least, dx_tv, lambda: place(int(np.argmin(q))))
         if self.inflow:
@@ -186,50 +187,55 @@ class BoundsMonitor:
         above = float(self.law.R(most)) - self.R0
         self._record("upper_bound", self.highest + rounding, above, dx_tv, lambda: place(int(np.argmax(q))))
         gain = variation - self.variation
-        self._record(
-            "tv_growth", self.growth_allowed + rounding, gain, dx_tv, lambda: place(int(np.argmax(np.abs(np.diff(q)))))
-        )
+        self._record("tv_growth", self.growth_allowed + rounding, gain, dx_tv, lambda: place(_steepest(q)))
         if "uniform_tv" in self.guarantees:
             gain = watch.invariant_variation(q, dx, state.law) - self.variation_I
             self._record("uniform_tv", rounding, gain, dx_tv + dx * self.variation)
         if "kruzkov" in self.guarantees and state.dt > 0.0 and state.steps - self.steps_frozen >= self.FROZEN_STEPS:
             self.steps_frozen = state.steps
-            self._freeze(state, np.exp(ln_K) if state.K is None else state.K, most, place)
+            self._freeze(state, np.exp(ln_K, out=ln_K) if state.K is None else state.K, most, place)
         if "flux_maximum" in self.guarantees and self.lasting and state.K is not None:
             F = watch.frozen_step(q, state.K, dx, 0.0, state.law, self.lasting.kernel(state.bound))[1]
-            self._compare(F, *self.flux_seen, float(state.K.max()))
-            self.flux_seen = float(np.abs(F).max()), float(np.abs(np.diff(F)).sum())
+            self._compare(_sizes(F), self.flux_seen, state.K)
+            self.flux_seen = _sizes(F)
         return self._judge(state)
 
-    def _compare(self, F: Array, most: float, variation: float, ln_K_max: float) -> None:
+    def _compare(self, now: tuple[float, float], before: tuple[float, float], K: Array) -> None:
         """Compare sup|F| and TV(F) with their values before."""
         # rounding of F, and of the differences of K that telescoping fluxes divide by dx
-        rounding = ROUNDOFF * float(np.abs(F).max()) + 1e-15 * ln_K_max / self.grid.dx
-        self._record("flux_maximum", rounding, float(np.abs(F).max()) - most)
-        varied = float(np.abs(np.diff(F)).sum())
-        self._record("flux_variation", F.size * rounding + ROUNDOFF * varied, varied - variation)
+        rounding = ROUNDOFF * now[0] + 1e-15 * float(K.max()) / self.grid.dx
+        self._record("flux_maximum", rounding, now[0] - before[0])
+        self._record("flux_variation", K.size * rounding + ROUNDOFF * now[1], now[1] - before[1])
 
     def _freeze(self, state: State, K: Array, most: float, place: Callable[[int], float]) -> None:
-        """Check one step with K frozen, from q and from its maximum and minimum with a constant."""
-        q, dx = state.q, self.grid.dx
+        """Check one step with K frozen, from q and from its maximum and minimum with a constant, in blocks of cells."""
+        q, dx, law = state.q, self.grid.dx, state.law
+        parts = [(max(a - HALO, 0), a, b, min(b + HALO, q.size)) for a, b in blocks(q.size)]
         # the CFL number of the step, with K and f' of the neighbouring cells, must not exceed that of the method
-        nearby = watch.fastest_nearby(q, K, state.law)
+        nearby = max(watch.fastest_nearby(q[i:j], K[i : j + 1], law) for i, _, _, j in parts)
         assert self.flux is not None
         dt, flux = state.dt * min(state.speed / nearby, 1.0), self.flux.kernel(max(state.bound, nearby))
-
-        def step(y: Array) -> tuple[Array, Array]:
-            return watch.frozen_step(y, K, dx, dt, state.law, flux)
-
-        after, F = step(q)
-        self._compare(step(after)[1], float(np.abs(F).max()), float(np.abs(np.diff(F)).sum()), float(K.max()))
         # the slope of another cell each time; small slopes would need shorter steps if K is large
         alpha = float(q[int(q.size * (0.618 * (state.steps + 1) % 1.0))])
         if float(K.max()) * float(self.law.derivative(alpha)) > state.speed:
             alpha = most
-        steps = [step(y)[0] for y in (np.full(q.size, alpha), np.maximum(q, alpha), np.minimum(q, alpha))]
-        excess = (np.abs(after - steps[0]) - (steps[1] - steps[2]))[1:-1]  # the flux at the ends is prescribed
-        worst = int(np.argmax(excess))
-        self._record("kruzkov", ROUNDOFF * (1.0 + most), float(excess[worst]), 0.0, lambda: place(worst + 1))
+        sizes, next_sizes, excesses = [], [], []
+        for i, a, b, j in parts:
+            y, rest = q[i:j], (K[i : j + 1], dx, dt, law, flux)
+            after, F = watch.frozen_step(y, *rest)
+            nodes = slice(a - i, b - i + 1)
+            sizes.append(_sizes(F[nodes]))
+            next_sizes.append(_sizes(watch.frozen_step(after, *rest)[1][nodes]))
+            others = np.full(y.size, alpha), np.maximum(y, alpha), np.minimum(y, alpha)
+            constant, upper, lower = (watch.frozen_step(other, *rest)[0] for other in others)
+            excess = np.abs(after - constant) - (upper - lower)
+            cell, stop = max(a, 1), min(b, q.size - 1)  # the flux at the ends is prescribed
+            if cell < stop:
+                at = cell + int(np.argmax(excess[cell - i : stop - i]))
+                excesses.append((float(excess[at - i]), at))
+        self._compare(_joined(next_sizes), _joined(sizes), K)
+        worst, at = excesses[int(np.argmax([value for value, _ in excesses]))]  # also if it is NaN
+        self._record("kruzkov", ROUNDOFF * (1.0 + most), worst, 0.0, lambda: place(at))
 
     def _record(
         self, name: str, allowed: float, excess: float, dx_tv: float = 0.0, place: Callable[[], float] = lambda: np.nan
@@ -258,3 +264,20 @@ class BoundsMonitor:
             for (name, accuracy), (margin, t, x) in zip(self.guarantees.items(), self.worst.tolist(), strict=True)
             if margin != np.inf  # a NaN does not hold
         }
+
+
+def _steepest(q: Array) -> int:
+    """Return the cell with the largest difference to the next one."""
+    d = np.diff(q)
+    return int(np.argmax(np.abs(d, out=d)))
+
+
+def _sizes(F: Array) -> tuple[float, float]:
+    """Return sup|F| and TV(F)."""
+    return float(np.abs(F).max()), float(np.abs(np.diff(F)).sum())
+
+
+def _joined(sizes: list[tuple[float, float]]) -> tuple[float, float]:
+    """Return sup|F| and TV(F) from those of blocks that have their end nodes in common."""
+    largest, variations = zip(*sizes, strict=True)
+    return float(np.max(largest)), float(np.sum(variations))

@@ -10,7 +10,6 @@ from hjprofile.errors import RunError
 from hjprofile.problem.coefficient import Coefficient
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.grids.grid_law import GridLaw
-from hjprofile.solvers.grids.kernels import grid_loops as kernels
 from hjprofile.solvers.grids.kernels.sweep_law import LANES
 from hjprofile.solvers.grids.kernels.wavefront import Given, Nonlocal
 from hjprofile.solvers.run import Array, Breakdown, Halt
@@ -85,12 +84,10 @@ class Factor:
         law = law.covering(q)
         k = self.given()
         if k is None:
-            kernels.exponent(law.f(q), self.grid.dx, K)
-            with np.errstate(over="ignore"):  # the speed is checked below
-                np.exp(K, out=K)
+            law.fill_K(q, self.grid.dx, K)
         else:
             K[:] = k[0]
-        speed = float(kernels.fastest(K, law.derivative(q)))
+        speed = law.fastest(q, K)
         if not 0.0 < speed < np.inf:
             raise Breakdown(q, K)
         return law, speed

@@ -6,14 +6,17 @@ an edited law. Its error is about 1e-12 of the scale of f if f is four times dif
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from hjprofile.problem.erosion import Array, ErosionLaw, Function
+from hjprofile.solvers.grids.kernels.grid_loops import exponent, fastest
 from hjprofile.solvers.grids.kernels.sweep_law import LANES, PIECES, SHIFT, Linear, Rational, Tabulated, values
 
 HEADROOM = 5  # binades of 1 + q in a table above the data, because q grows along characteristics
+BLOCK = 1 << 14  # cells for which temporary arrays are made at once, 128 kB each
 STEEPEST = 32  # binades of 1 + q in the table of a law of linear growth: a jump of u in one cell is q = m/Δx
 
 
@@ -30,6 +33,24 @@ class GridLaw:
     def covering(self, q: Array) -> GridLaw:
         """Return the law for slopes that have reached q: itself, or a wider table with the same values."""
         return self if 4.0 * np.max(q) < self.q_most else grid_law(self.law, q)
+
+    def fill_K(self, q: Array, dx: float, K: Array) -> None:
+        """Fill K at the nodes from q on the cells by the midpoint rule; it may overflow to infinity."""
+        K[-1] = 0.0
+        for a, b in blocks(q.size):
+            exponent(self.f(q[a:b]), dx, K[a : b + 1])
+        with np.errstate(over="ignore"):
+            np.exp(K, out=K)
+
+    def fastest(self, q: Array, K: Array) -> float:
+        """Return the largest K f', with each cell's f' and the larger K of its two nodes."""
+        return float(np.max([fastest(K[a : b + 1], self.derivative(q[a:b])) for a, b in blocks(q.size)]))
+
+
+def blocks(cells: int) -> Iterator[tuple[int, int]]:
+    """Yield the ends of blocks of cells, from right to left, so that temporary arrays are small on any grid."""
+    for b in range(cells, 0, -BLOCK):
+        yield max(b - BLOCK, 0), b
 
 
 def grid_law(law: ErosionLaw, q: Array) -> GridLaw:

@@ -107,8 +107,9 @@ class HighOrder(WithRollback):
         padded = np.empty(q.size + 2 * g)
         padded[g:-g] = q
         kernels.ghosts(padded)
-        edges, F = np.empty(q.size + 1), np.empty(q.size + 1)
+        edges = np.empty(q.size + 1)
         self.order.edges(padded, edges)
+        F = padded[: q.size + 1]  # the memory is needed no more
         f = self.law.law.f(edges)
         if given is None:
             kernels.exponent_from_nodes(f, self.grid.dx, self.order.high_quadrature, K)

@@ -44,7 +44,7 @@ def find_steps(q: Array, x_left: float, dx: float, f: Array, law: StepLaw) -> li
         return []
     least = least_height(dx, law)
     W = np.append(0.0, np.cumsum(q) * dx)
-    ln_K = np.empty(q.size + 1)
+    ln_K = np.zeros(q.size + 1)
     exponent(f, dx, ln_K)
     inner = q[1:-1]
     peaks = 1 + np.flatnonzero((inner > steep) & (inner >= q[:-2]) & (inner > q[2:]))

@@ -12,8 +12,7 @@ GHOSTS = 3  # cells beyond either end that reconstructions read
 
 @compiled
 def exponent(f, dx, E):
-    """Fill E with ∫_x^0 f dξ at the nodes for values f on the cells."""
-    E[f.size] = 0.0
+    """Fill E with ∫_x^0 f dξ at the nodes left of E[f.size], which is given, for values f on the cells."""
     for i in range(f.size - 1, -1, -1):
         E[i] = E[i + 1] + f[i] * dx
 
