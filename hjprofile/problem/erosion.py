@@ -144,7 +144,8 @@ class ErosionLaw:
         near = np.abs(q) <= NEAR_ZERO
         away = np.where(near, 1.0, q)
         R = np.asarray(away / self.f(away))
-        R[near] = 1.0 / self._f_over_q(q[near])
+        if near.any():
+            R[near] = 1.0 / self._f_over_q(q[near])
         return R
 
     def R_derivative(self, q) -> Array:

@@ -217,6 +217,8 @@ class Panels:
 
         A panel without an analytic continuation stays: beyond its end a label is found by the panel's own formula.
         """
+        if low.max() <= MOST_DEAD and high.min() >= -MOST_DEAD:
+            return self
         joined_left = self.mesh.joined.copy()
         joined_left[self.mesh.first[:-1][self.mesh.first[:-1] < len(joined_left)]] = False
         joined_right = np.append(joined_left[1:], False)

@@ -79,7 +79,7 @@ class Factor:
         Return the law for slopes as large as q, and the largest K f'. Raise Breakdown if q is not above -1 everywhere,
         or if K f' is not a finite number.
         """
-        if not np.min(q) > -1.0:  # excludes NaN
+        if not q.min() > -1.0:  # excludes NaN
             raise Breakdown(q, K)
         law = law.covering(q)
         k = self.given()

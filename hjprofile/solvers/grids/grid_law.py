@@ -32,7 +32,7 @@ class GridLaw:
 
     def covering(self, q: Array) -> GridLaw:
         """Return the law for slopes that have reached q: itself, or a wider table with the same values."""
-        return self if 4.0 * np.max(q) < self.q_most else grid_law(self.law, q)
+        return self if 4.0 * q.max() < self.q_most else grid_law(self.law, q)
 
     def fill_K(self, q: Array, dx: float, K: Array) -> None:
         """Fill K at the nodes from q on the cells by the midpoint rule; it may overflow to infinity."""
@@ -44,7 +44,8 @@ class GridLaw:
 
     def fastest(self, q: Array, K: Array) -> float:
         """Return the largest K f', with each cell's f' and the larger K of its two nodes."""
-        return float(np.max([fastest(K[a : b + 1], self.derivative(q[a:b])) for a, b in blocks(q.size)]))
+        speeds = [fastest(K[a : b + 1], self.derivative(q[a:b])) for a, b in blocks(q.size)]
+        return float(np.max(speeds) if len(speeds) > 1 else speeds[0])  # NaN if one of them is
 
 
 def blocks(cells: int) -> Iterator[tuple[int, int]]:

@@ -144,7 +144,7 @@ class HighOrder(WithRollback):
 
         def rate(y: Array) -> Array:
             q = self._means(y[:-3])
-            if not np.min(q) > -1.0:
+            if not q.min() > -1.0:
                 raise Breakdown(q, K, a)
             F, edges = self._fluxes(q, inflow, K, self.factor.given(start + y[-1], slice(a, b + 1)))
             if not speeds:  # of states, not of stages

@@ -421,15 +421,18 @@ def _measured_speed(curve: _Curve, i: int, dx: float) -> float:
     if not whole[i]:
         return float("nan")
     t, x, far = (a[whole & (side == side[i])] for a in (t - t[i], x, np.abs(x - x[i])))
-    near = far <= max(NEARBY * dx, float(np.sort(far)[min(FEWEST_SIGHTINGS, far.size) - 1]))
-    t, x = t[near], x[near]
-    if t.size < FEWEST_SIGHTINGS - 1 or np.ptp(x) < LEAST_SPAN * dx:
+    fewest = min(FEWEST_SIGHTINGS, far.size) - 1
+    near = far <= max(NEARBY * dx, float(np.partition(far, fewest)[fewest]))
+    t, x = t[near], x[near] - x[near][0]
+    reach = float(x.max() - x.min())
+    if t.size < FEWEST_SIGHTINGS - 1 or reach < LEAST_SPAN * dx:
         return float("nan")
-    scale, reach = float(t.max() - t.min()), float(x.max() - x.min())
-    powers = np.vander(t / scale, min(3, t.size - 2) + 1, increasing=True)
-    # t / scale is of order 1, so the condition of this matrix is 1e5 at most
-    cubic = np.linalg.solve(powers.T @ powers, powers.T @ (x - x[0]))
-    smooth = np.abs(powers @ cubic - (x - x[0])).max() <= SCATTER * reach
+    scale = float(t[-1] - t[0])
+    s = t / scale
+    powers = np.array([np.ones_like(s), s, s * s, s * s * s][: min(3, t.size - 2) + 1])
+    # s is of order 1, so the condition of this matrix is 1e5 at most
+    cubic = np.linalg.solve(powers @ powers.T, powers @ x)
+    smooth = np.abs(cubic @ powers - x).max() <= SCATTER * reach
     return float(cubic[1]) / scale if smooth else float("nan")
 
 

@@ -268,7 +268,7 @@ class March:
         """Return the current state for monitors. Raise Breakdown."""
         scheme = self.scheme
         first, q = scheme.means()
-        if not np.min(q) > -1.0:  # excludes NaN
+        if not q.min() > -1.0:  # excludes NaN
             raise Breakdown(q, scheme.K, first)
         scheme.law = scheme.law.covering(q)
         K = self.factor.given(nodes=slice(first, first + q.size + 1))
