@@ -31,9 +31,9 @@ TOLERANCES = 1e-7, 1e-9, 1e-11
 REFERENCE_FRONTS = 12800
 STEEP_REFERENCE_FRONTS = 3200  # under a law of linear growth, where a front costs ten times as much
 REPEATS = 3
-REPEATED = 0.05  # seconds of a run above which it is not repeated, unless it was disturbed
+REPEATED = 0.03  # seconds of a run above which it is not repeated, unless it was disturbed
 FINER_WORK, DISTURBED = 2.0, 1.5  # usual ratio of the seconds of neighbouring runs; ratio to them of a disturbed run
-LONGEST_RUN = 0.15  # seconds of a run above which finer runs of its method are omitted
+LONGEST_RUN = 0.06  # seconds of a run above which finer runs of its method are omitted
 U_ROUNDING = 4.0 * float(np.finfo(float).eps)  # of u - x of order 1 at a node
 INTEGRATED = 1e-12  # error of solutions integrated to 1e-13: exact fronts; closed forms, except for the rational law
 NOTHING = 1e-12  # |q| of a slope that is neutral to rounding
@@ -67,13 +67,19 @@ class Reference(NamedTuple):
         name: of the method.
         error, error_q: of its u and of its q in the norms of `Point`, by its own estimate; 0 for a closed form in
             elementary functions.
-        at: a function of a grid that returns u and q at the saved times, shapes (times, cells + 1) and (times, cells).
+        u, q: at the saved times on FINEST cells, shapes (times, FINEST + 1) and (times, FINEST).
     """
 
     name: str
     error: float
     error_q: float
-    at: Callable[[Grid], tuple[Array, Array]]
+    u: Array
+    q: Array
+
+    def on(self, cells: int) -> tuple[Array, Array]:
+        """Return u and q on a grid of one of CELLS, which is nested in the finest one."""
+        every = FINEST // cells
+        return self.u[:, ::every], self.q.reshape(len(self.q), cells, every).mean(axis=2)
 
 
 @dataclass(frozen=True)
@@ -128,7 +134,7 @@ def chart(case: AnyCase, progress: Callable[[float], None] | None = None) -> Cha
     """Run every method at several resolutions on a case, and measure its error and its seconds.
 
     Seconds are those of the time stepping alone, without compilation and output: the median of three runs, or those of
-    one run above 0.05 s. Errors are sup|u - u_exact| and ∫|q - q_exact| dx, the largest of all saved times. Methods
+    one run above 0.03 s. Errors are sup|u - u_exact| and ∫|q - q_exact| dx, the largest of all saved times. Methods
     that break down at a resolution are omitted there.
 
     Args:
@@ -164,15 +170,15 @@ def chart_of(
     later = problem.times > 0.0
     if not later.any():
         raise InputError(f"{case}: no time after 0 is saved; a chart measures errors at the saved times")
-    reference = _reference(problem, grid)
-    known = _Known(reference, grid)
-    if not np.abs(known[grid.cells][1][later]).max() > max(reference.error_q, NOTHING):
+    nested = replace(grid, cells=min(CELLS, key=lambda cells: abs(cells - grid.cells)))
+    reference = _reference(problem, nested)
+    if not np.abs(reference.q[later]).max() > max(reference.error_q, NOTHING):
         raise InputError(
             f"{case}: the slope is neutral from the first measurement on, at t = {problem.times[later][0]:.6g}, "
             "so every method is exact; save earlier times, or set an earlier end"
         )
     points: list[Point] = []
-    plan = list(_plan(problem, grid, cfl))
+    plan = list(_plan(problem, nested, cfl))
     for i, (method, ladder) in enumerate(plan):
         expected = 0.0  # seconds, by those of the coarser run; the first run also loads compiled loops
         for cells, once in ladder:
@@ -182,7 +188,7 @@ def chart_of(
                 continue
             expected = seconds * FINER_WORK
             if run.done:
-                u, q = known[run.cells]
+                u, q = reference.on(run.cells)
                 u_sup = max(float(np.abs(run.u - u).max()), reference.error)
                 q_l1 = max(_distance(run.q, q, replace(grid, cells=run.cells)), reference.error_q)
                 points.append(Point(case, method, cells, u_sup, q_l1, seconds, run.steps))
@@ -204,29 +210,11 @@ def _timed(once: Callable[[], Run], expected: float) -> tuple[Run, float]:
     return run, float(np.median(seconds)) if seconds[0] <= REPEATED else min(seconds)
 
 
-class _Known:
-    """The reference on grids: u and q by the number of cells, from one evaluation on FINEST cells where that nests."""
-
-    def __init__(self, reference: Reference, grid: Grid):
-        self.reference, self.grid = reference, grid
-        self.values: dict[int, tuple[Array, Array]] = {}
-
-    def __getitem__(self, cells: int) -> tuple[Array, Array]:
-        if cells not in self.values:
-            every = FINEST // cells
-            if cells < FINEST and every * cells == FINEST:
-                u, q = self[FINEST]
-                self.values[cells] = u[:, ::every], q.reshape(len(q), cells, every).mean(axis=2)
-            else:
-                self.values[cells] = self.reference.at(replace(self.grid, cells=cells))
-        return self.values[cells]
-
-
 Ladder = Sequence[tuple[int, Callable[[], Run]]]
 
 
 def _plan(problem: Problem, grid: Grid, cfl: float) -> Iterator[tuple[str, Ladder]]:
-    """Yield every method with its resolutions: a number for the chart, and the run."""
+    """Yield every method with its resolutions: a number for the chart, and the run; `grid` is for exact solutions."""
     able = [method for method in METHODS.values() if method.supports >= requirements(problem)]
     for method in (m for m in able if m.on_grid):
         yield method.name, [(n, partial(solve_with, method, problem, replace(grid, cells=n), cfl)) for n in CELLS]
@@ -245,44 +233,37 @@ def _distance(q: Array, other: Array, grid: Grid) -> float:
 
 
 def _reference(problem: Problem, grid: Grid) -> Reference:
-    """Return the closed form if the data have one, else characteristics, else fronts, both at their finest."""
-    exact = closed_form(problem)
+    """Return the closed form if the data have one, else characteristics, else fronts, both at their finest.
+
+    The less accurate run that the error follows from is compared on `grid`, one of CELLS.
+    """
+    exact, finest = closed_form(problem), replace(grid, cells=FINEST)
     if exact is not None:
         error = 0.0 if problem.law.name == "rational" else INTEGRATED
+        u = np.array([exact.u(t, finest.nodes) for t in problem.times])
         return Reference(
-            "the closed form", error, error,
-            lambda g: (
-                np.array([exact.u(t, g.nodes) for t in problem.times]),
-                np.array([exact.q_means(t, g) for t in problem.times]),
-            ),
-        )  # fmt: skip
+            "the closed form", error, error, u, np.array([exact.q_means(t, finest) for t in problem.times])
+        )
     steep = isinstance(problem.model, LinearGrowth)
     if not steep:  # only fronts resolve vertical steps
-        finest, _ = METHODS["characteristics"].tolerance or (0.0, 0.0)
+        tolerance, _ = METHODS["characteristics"].tolerance or (0.0, 0.0)
         with suppress(RunError):
-            run, coarser = (solve_characteristics(problem, grid, e) for e in (finest, 100.0 * finest))
+            run = solve_characteristics(problem, finest, tolerance)
+            coarser = solve_characteristics(problem, grid, 100.0 * tolerance)
             if run.done and coarser.done and run.error_estimate is not None:
                 rounding = U_ROUNDING * grid.cells * (1.0 + float(np.abs(run.u - run.x).max()))  # of differences of u
-                error_q = max(run.error_estimate, SAFETY * _distance(run.q, coarser.q, grid)) + rounding
-
-                def by_characteristics(g: Grid) -> tuple[Array, Array]:
-                    read = run if g == grid else solve_characteristics(problem, g, finest)
-                    return read.u, read.q
-
-                return Reference("characteristics", run.error_estimate, error_q, by_characteristics)
+                found = Reference("characteristics", run.error_estimate, rounding, run.u, run.q)
+                apart = SAFETY * _distance(found.on(grid.cells)[1], coarser.q, grid)
+                return found._replace(error_q=max(run.error_estimate, apart) + rounding)
     fronts = STEEP_REFERENCE_FRONTS if steep else REFERENCE_FRONTS
-    run, coarser = (track_fronts(problem, grid, n) for n in (fronts, fronts // 2))
+    run, coarser = track_fronts(problem, finest, fronts), track_fronts(problem, grid, fronts // 2)
     for tracked in (run, coarser):
         if not tracked.done:
             raise RunError(tracked.status)
-    error = max(float(np.abs(run.u - coarser.u).max()), INTEGRATED)
-    error_q = max(_distance(run.q, coarser.q, grid), error)
-
-    def by_fronts(g: Grid) -> tuple[Array, Array]:
-        read = run if g == grid else track_fronts(problem, g, fronts)
-        return read.u, read.q
-
-    return Reference(f"{fronts} fronts", error, error_q, by_fronts)
+    found = Reference(f"{fronts} fronts", INTEGRATED, INTEGRATED, run.u, run.q)
+    u, q = found.on(grid.cells)
+    error = max(float(np.abs(u - coarser.u).max()), INTEGRATED)
+    return found._replace(error=error, error_q=max(_distance(q, coarser.q, grid), error))
 
 
 def pareto(points: Sequence[Point]) -> list[Point]:

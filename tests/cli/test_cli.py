@@ -568,5 +568,5 @@ def test_the_helper_does_not_outlive_the_run(folder, how):
 def test_an_error_equal_to_that_of_the_reference_is_marked():
     """Errors of numpy compare to numpy's booleans."""
     point = Point("case", "fronts", 100, np.float64(1e-12), np.float64(2e-9), 0.1, 10)
-    reference = Reference("characteristics", np.float64(1e-12), np.float64(1e-10), lambda grid: None)
+    reference = Reference("characteristics", np.float64(1e-12), np.float64(1e-10), *np.zeros((2, 1, 1)))
     assert "  2.0e-09 of q  <1.0e-12 of u" in str(Chart("case", (point,), reference)).replace("100 ", "")

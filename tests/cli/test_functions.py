@@ -119,7 +119,7 @@ def test_studies_that_are_written_into_a_folder_of_something_else(in_tmp):
     run = hj.solve_hj(problem, hj.Grid(-4.0, 40))
     hj.write_run(run, "folder", vtk=False, plots=False)
     before = {p.name for p in Path("folder").iterdir()}
-    found = chart.Chart("a", (), chart.Reference("r", 0.0, 0.0, None))
+    found = chart.Chart("a", (), chart.Reference("r", 0.0, 0.0, *np.zeros((2, 1, 1))))
     with pytest.raises(hj.InputError, match=r"folder belongs to another result that was written from Python"):
         hj.write_study(found, "folder")
     assert {p.name for p in Path("folder").iterdir()} == before

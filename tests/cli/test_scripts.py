@@ -112,7 +112,7 @@ def test_chart_stability_and_dependence(scene, ask, monkeypatch):
     """What they find is tested elsewhere; here that it is answered as it was found."""
     point = chart.Point("scene", "godunov", 250, 1e-2, 2e-2, 0.1, 300)
     worse = point._replace(cells=200, error_q_l1=3e-2, seconds=0.2)
-    found = chart.Chart("scene", (point, worse), chart.Reference("closed form", 0.0, 0.0, lambda grid: None))
+    found = chart.Chart("scene", (point, worse), chart.Reference("closed form", 0.0, 0.0, *np.zeros((2, 1, 1))))
     monkeypatch.setattr(chart, "chart", lambda *_: found)
     (of_scene,) = ask("chart", "scene.toml")["cases"]
     assert of_scene["points"] == [point._asdict(), worse._asdict()] and of_scene["pareto"] == [point._asdict()]
