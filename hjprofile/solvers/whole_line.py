@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import wraps
+from functools import lru_cache, wraps
 from typing import Any, ParamSpec
 
 import numpy as np
 
 from hjprofile.problem import Problem
 from hjprofile.problem.case import resolved_case
+from hjprofile.problem.erosion import ErosionLaw
 from hjprofile.problem.grid import Grid
 from hjprofile.problem.line import moved, tail
 from hjprofile.problem.model import WholeLine
@@ -27,6 +28,33 @@ from hjprofile.solvers.stop import Place, Reason, Stop, Stopped, Time
 P = ParamSpec("P")
 TOLERANCE = 1e-13  # relative tolerance of the transformation of time
 GRID_ALLOWANCE = 10.0  # allowance for W at the end of the window on a grid, in cells times q there
+
+
+@lru_cache(maxsize=8)  # runs that differ in their cells or method have the same tail
+def _follow_tail(law: ErosionLaw, q0: float, end: float, most: float) -> tuple[float, Callable | None]:
+    """Return the time for which R at the window's end stays below `most`, and ln q there and τ over that time.
+
+    q there is q0 at the time 0.
+    """
+    if not q0 or not end:
+        return end, None
+    from scipy.integrate import solve_ivp
+
+    R0 = float(law.R(0.0))
+
+    def rates(t: float, state: Array) -> list[float]:
+        q = np.exp(state[0])
+        return [1.0 / (R0 * float(law.R_derivative(q))), float(law.R(q)) / R0]
+
+    def steepest(t: float, state: Array) -> float:
+        return most - float(law.R(np.exp(state[0])))
+
+    steepest.terminal = True  # type: ignore[attr-defined]
+    tail = solve_ivp(
+        rates, (0.0, end), [np.log(q0), 0.0], method="DOP853", rtol=TOLERANCE, atol=TOLERANCE,
+        events=steepest, dense_output=True, max_step=0.1,
+    )  # fmt: skip
+    return float(tail.t[-1]), tail.sol
 
 
 class Window:
@@ -47,7 +75,7 @@ class Window:
         self.q = tail(profile, grid.right, self.law)
         W = profile.W(np.array([grid.left, grid.right]), self.law)
         self.I = float(W[1] + self.law.R(self.q))
-        self.last, self._solution = self._follow_tail(self.I - float(W[0]))
+        self.last, self._solution = _follow_tail(self.law, self.q, problem.end, self.I - float(W[0]))
         outer_times = problem.times[problem.times <= self.last]
         if not outer_times.size:
             raise Stopped(self._left("before the first saved time, t = {t:.6g}, ", problem.times[0]))
@@ -61,27 +89,6 @@ class Window:
             snapshots=list(self.outer_times),
         )
         self.half_grid = replace(grid, left=grid.left - grid.right, right=0.0)
-
-    def _follow_tail(self, most: float):
-        """Return the time for which R at the window's end stays below `most`, and ln q there and τ over that time."""
-        end = self.whole.end
-        if not self.q or not end:
-            return end, None
-        from scipy.integrate import solve_ivp
-
-        def rates(t: float, state: Array) -> list[float]:
-            q = np.exp(state[0])
-            return [1.0 / (self.R0 * float(self.law.R_derivative(q))), float(self.law.R(q)) / self.R0]
-
-        def steepest(t: float, state: Array) -> float:
-            return most - float(self.law.R(np.exp(state[0])))
-
-        steepest.terminal = True  # type: ignore[attr-defined]
-        tail = solve_ivp(
-            rates, (0.0, end), [np.log(self.q), 0.0], method="DOP853", rtol=TOLERANCE, atol=TOLERANCE,
-            events=steepest, dense_output=True, max_step=0.1,
-        )  # fmt: skip
-        return float(tail.t[-1]), tail.sol
 
     def slope(self, t: Array) -> Array:
         """Return q at the end of the window."""
