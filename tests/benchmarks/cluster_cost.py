@@ -118,7 +118,7 @@ def processor_seconds(commands):
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def marginal(size=100, few=2, many=12, repeats=2):
+def marginal(size=100, few=2, many=32, repeats=3):
     """Print processor time per member of the recipe and of two loops in two processes, in turn; without their starts.
 
     Other programs change the processor time of a member, so only runs that take turns can be compared.
