@@ -1,5 +1,6 @@
 """The recipe for an ensemble on a cluster: its members are those of a loop; a kill costs only chunks in progress."""
 
+import contextlib
 import importlib.util
 import os
 import signal
@@ -16,16 +17,24 @@ import hjprofile as hj
 
 pytest.importorskip("distributed", reason="the extra cluster is not installed")
 SCRIPT = Path(__file__).parents[1] / "docs" / "howto" / "cluster_ensemble.py"
+COST = Path(__file__).parent / "benchmarks" / "cluster_cost.py"
 CHUNKS, SIZE = 12, 25
 TABLE = "toe_outflow", "crest_lowering", "eroded_volume", "length", "critical_slope"
 
 
-@pytest.fixture(scope="module")
-def recipe():
-    spec = importlib.util.spec_from_file_location(SCRIPT.stem, SCRIPT)
+needs_proc = pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc")
+
+
+def module_of(path):
+    spec = importlib.util.spec_from_file_location(path.stem, path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def recipe():
+    return module_of(SCRIPT)
 
 
 @pytest.fixture(scope="module")
@@ -102,6 +111,40 @@ def test_members_and_names_do_not_depend_on_the_number_of_chunks(recipe, survey)
     assert np.log(lengths / 200.0).std() == pytest.approx(np.log(1.4), rel=4 / np.sqrt(4000))
 
 
+def test_the_comparison_of_two_ensembles_names_files_and_values(recipe, survey, in_tmp):
+    """Equal folders give no line; a changed value, other bytes of equal values, and single files are named."""
+    differences = module_of(COST).differences
+    for folder in ("one", "two"):
+        Path(folder).mkdir()
+        recipe.store_chunk(f"{folder}/a.nc", hj.__version__, 0, 3, *survey)
+    assert differences(Path("one"), Path("two")) == []
+    with xr.open_dataset("one/a.nc") as stored:
+        stored.load()
+    chunk = stored.copy(deep=True)
+    before = chunk.height.values[2, 7]
+    chunk.height.values[2, 7:9] += [0.25, 0.125]  # exact, because heights are below 2**10
+    chunk.status.values[1] = "lost"
+    chunk.toe_outflow.values[0] = np.nan
+    chunk.to_netcdf("two/a.nc", engine="scipy")
+    Path("one/b.nc").write_bytes(b"")
+    Path("two/c.part").write_bytes(b"CDF")
+    assert differences(Path("one"), Path("two")) == [
+        f"a.nc: 2 of 1200 values of height, by at most 0.25, first at [2, 7]: {before} and {before + 0.25}",
+        "a.nc: 1 of 3 values of status, first at [1]: done and lost",
+        f"a.nc: 1 of 3 values of toe_outflow, by at most nan, first at [0]: {stored.toe_outflow.values[0]} and nan",
+        "b.nc: only in one",
+        "c.part: only in two",
+    ]
+    chunk.to_netcdf("one/a.nc", engine="scipy")
+    assert len(differences(Path("one"), Path("two"))) == 2  # NaN equals NaN
+    chunk.assign_attrs(title="other").to_netcdf("one/a.nc", engine="scipy")
+    assert differences(Path("one"), Path("two"))[0] == "a.nc: equal values in other bytes"
+    Path("one/a.nc").write_bytes(b"CDF")
+    assert differences(Path("one"), Path("two"))[0] == "a.nc: 3 bytes and " + (
+        f"{Path('two/a.nc').stat().st_size} bytes, one of them unreadable"
+    )
+
+
 def children(pid):
     try:
         mine = [int(c) for c in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
@@ -113,7 +156,24 @@ def children(pid):
 
 def workers(pid):
     """Return the processes of the workers: those that were spawned, without the tracker of resources."""
-    return [c for c in children(pid) if "spawn_main" in Path(f"/proc/{c}/cmdline").read_text()]
+    found = []
+    for child in children(pid):
+        with contextlib.suppress(OSError):  # it ended in between
+            if "spawn_main" in Path(f"/proc/{child}/cmdline").read_text():
+                found.append(child)
+    return found
+
+
+@contextlib.contextmanager
+def started(command):
+    """Start a script in a process group of its own, which is killed at the end, also if a test fails."""
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, **streams, start_new_session=True) as running:
+        try:
+            yield running
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(running.pid, signal.SIGKILL)
 
 
 def wait_for(condition, running):
@@ -124,26 +184,25 @@ def wait_for(condition, running):
 
 
 @pytest.mark.slow  # half a minute: two clusters are started
-@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc")
+@needs_proc
 def test_killed_and_resumed_it_is_the_loop_bit_for_bit(recipe, survey, in_tmp):
     """The script is killed with all its processes; the second run loses a worker, and continues from the chunks."""
     arguments = ["out", f"--chunks={CHUNKS}", f"--size={SIZE}", "--workers=2"]
     command = [sys.executable, str(SCRIPT), *arguments]
-    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "start_new_session": True}
     folder = Path("out")
 
     def stored():
         return sorted(folder.glob("*.nc"))
 
-    with subprocess.Popen(command, **streams) as running:
+    with started(command) as running:
         wait_for(lambda: len(stored()) >= 2, running)
-        os.killpg(running.pid, signal.SIGKILL)
     before = {path: (path.stat().st_ino, path.read_bytes()) for path in stored()}
     assert 2 <= len(before) < CHUNKS - 2
     (folder / f"{CHUNKS - 1:05d}.part").write_bytes(b"CDF\x01 half")
 
-    with subprocess.Popen(command, **streams) as running:
+    with started(command) as running:
         wait_for(lambda: len(stored()) > len(before), running)
+        (folder / f"{CHUNKS - 1:05d}.again.part").write_bytes(b"CDF\x01 half")  # as of a worker killed while it writes
         lost = workers(running.pid)[0]
         os.kill(lost, signal.SIGKILL)
         out, err = running.communicate(timeout=120)
@@ -167,3 +226,30 @@ def test_killed_and_resumed_it_is_the_loop_bit_for_bit(recipe, survey, in_tmp):
 
     done = subprocess.run([*command[:-2], f"--size={SIZE - 1}", command[-1]], capture_output=True, text=True)
     assert done.returncode == 1 and f"holds {CHUNKS} files of another ensemble; use another folder" in done.stderr
+
+
+@pytest.mark.slow  # two minutes: the script waits a minute for workers
+@needs_proc
+def test_without_workers_it_stops_and_the_same_command_continues(recipe, survey, in_tmp):
+    """dask does not replace a worker that is killed while it starts; without workers the script waits for a minute."""
+    command = [sys.executable, str(SCRIPT), "out", "--chunks=6", "--size=25", "--workers=2"]
+    folder = Path("out")
+    with started(command) as running:
+        wait_for(lambda: any(folder.glob("*.nc")), running)
+        until = time.monotonic() + 20  # a worker starts within seconds
+        while time.monotonic() < until:
+            for worker in workers(running.pid):
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(worker, signal.SIGKILL)
+            time.sleep(0.02)
+        solved = len(list(folder.glob("*.nc")))
+        assert solved < 6 and not workers(running.pid)
+        _, err = running.communicate(timeout=120)
+    assert running.returncode == 1
+    assert f"{6 - solved} chunks failed, the first with NoWorkerError" in err.splitlines()[-1]
+    assert len(list(folder.iterdir())) == solved  # no part of a killed worker
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert f"6 chunks: {solved} from an earlier run, {6 - solved} solved now\n" in done.stdout
+    for chunk, path in enumerate(sorted(folder.iterdir())):
+        recipe.store_chunk("again.nc", hj.__version__, chunk, 25, *survey)
+        assert path.read_bytes() == Path("again.nc").read_bytes()

@@ -12,6 +12,7 @@ import os
 import uuid
 from pathlib import Path
 
+import dask
 import numpy as np
 import xarray as xr
 from distributed import Client, as_completed
@@ -97,6 +98,12 @@ def solve(client, paths, size, x, height):
     return len(todo), errors
 
 
+def remove_parts(folder):
+    """Remove the unfinished files of workers that were killed."""
+    for part in folder.glob("*.part"):
+        part.unlink(missing_ok=True)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=lambda text: Path(text).resolve())
@@ -112,12 +119,14 @@ def main():
     paths = files(options.folder, options.chunks, options.size, x, height)
     if others := set(options.folder.glob("*.nc")) - set(paths):
         raise SystemExit(f"{options.folder} holds {len(others)} files of another ensemble; use another folder")
-    for part in options.folder.glob("*.part"):  # of workers that were killed
-        part.unlink(missing_ok=True)
+    remove_parts(options.folder)
     solve_member(x, height, 200.0, 0.257)  # compiles the loops once; the workers of this machine load them
+    # dask does not replace a local worker that is killed while it starts; without workers a task fails after a minute
+    dask.config.set({"distributed.scheduler.no-workers-timeout": "60s"})
     here = {"n_workers": options.workers, "threads_per_worker": 1, "dashboard_address": None}
     with Client(options.scheduler) if options.scheduler else Client(**here) as client:
         solved, errors = solve(client, paths, options.size, x, height)
+    remove_parts(options.folder)
     print(f"{len(paths)} chunks: {len(paths) - solved} from an earlier run, {solved - len(errors)} solved now")
     if errors:
         raise SystemExit(f"{len(errors)} chunks failed, the first with {errors[0]}; the same command tries them again")

@@ -17,6 +17,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import xarray as xr
 from distributed import Client
 
 import hjprofile as hj
@@ -117,7 +118,7 @@ def processor_seconds(commands):
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def marginal(size=100, few=2, many=12, repeats=2):
+def marginal(size=100, few=2, many=32, repeats=3):
     """Print processor time per member of the recipe and of two loops in two processes, in turn; without their starts.
 
     Other programs change the processor time of a member, so only runs that take turns can be compared.
@@ -163,6 +164,44 @@ def stopped(folder, chunks, size):
     print(f"stopped and resumed: {first:.1f} s and {time.perf_counter() - start:.1f} s", flush=True)
 
 
+def values_that_differ(chunks):
+    """Return a line for each variable of two chunks whose values differ: their number, the largest difference, one."""
+    lines = []
+    for name in sorted(set(chunks[0].variables) ^ set(chunks[1].variables)):
+        lines.append(f"{name} is in one of them only")
+    for name in [name for name in chunks[0].variables if name in chunks[1].variables]:
+        one, other = (chunk[name].values for chunk in chunks)
+        if one.shape != other.shape:
+            lines.append(f"{name} has the shapes {one.shape} and {other.shape}")
+            continue
+        number = np.issubdtype(one.dtype, np.number) and np.issubdtype(other.dtype, np.number)
+        differ = (one != other) & ~(np.isnan(one) & np.isnan(other)) if number else one != other
+        if differ.any():
+            most = f", by at most {np.abs(one - other)[differ].max()}" if number else ""
+            first = tuple(np.argwhere(differ)[0].tolist())
+            at = f"first at {list(first)}: {one[first]} and {other[first]}"
+            lines.append(f"{differ.sum()} of {differ.size} values of {name}{most}, {at}")
+    return lines or ["equal values in other bytes"]
+
+
+def differences(*folders):
+    """Return the differences of two folders of chunks, file by file and value by value, as lines."""
+    lines = []
+    for name in sorted({path.name for folder in folders for path in folder.iterdir()}):
+        paths = [folder / name for folder in folders]
+        if len(found := [path for path in paths if path.exists()]) == 1:
+            lines.append(f"{name}: only in {found[0].parent}")
+        elif paths[0].read_bytes() != paths[1].read_bytes():
+            try:
+                chunks = [xr.load_dataset(path, engine="scipy") for path in paths]
+            except Exception:  # a damaged file raises any of several types
+                sizes = " and ".join(f"{path.stat().st_size} bytes" for path in paths)
+                lines.append(f"{name}: {sizes}, one of them unreadable")
+            else:
+                lines.extend(f"{name}: {line}" for line in values_that_differ(chunks))
+    return lines
+
+
 def main(chunks=100, size=100):
     ensemble = recipe()
     survey = hj.read_survey(hj.shipped_cases()["hillslope"].with_name("hillslope.csv"))[:2]
@@ -178,10 +217,12 @@ def main(chunks=100, size=100):
     print(f"                     {1e3 * (cpu / members - alone_cpu):.2f} ms of processor time")
     print(f"load of the machine: {os.getloadavg()[0]:.1f}")
     stopped(folders[1], chunks, size)
-    contents = [{path.name: path.read_bytes() for path in folder.iterdir()} for folder in folders]
-    names = sorted(contents[0].keys() | contents[1].keys())
-    differ = [name for name in names if contents[0].get(name) != contents[1].get(name)]
-    print(f"files of the resumed ensemble that differ: {', '.join(differ) or 'none'}")
+    different = differences(*folders)
+    print(
+        f"resumed ensemble: {len(list(folders[1].iterdir()))} files, {len(different)} differences", *different, sep="\n"
+    )
+    if different:
+        raise SystemExit(1)  # the folders remain for a closer look
     for folder in folders:
         shutil.rmtree(folder)
 
