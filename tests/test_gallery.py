@@ -227,6 +227,7 @@ def test_script(script, in_tmp, capsys, monkeypatch):
     """Its numbers agree with independent ones, and its one picture is legible; nothing is written."""
     plt.switch_backend("agg")
     monkeypatch.setattr(plt, "show", lambda: None)
+    plt.close("all")  # of a test before
     try:
         made = runpy.run_path(str(script), run_name="__main__")
         EXPECTED[script.stem](made, capsys.readouterr().out)
