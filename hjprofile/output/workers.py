@@ -42,10 +42,15 @@ def by_a_fork(function: Callable[..., Any], *arguments: Any) -> Callable[[], Any
     """
     import multiprocessing
 
-    context = multiprocessing.get_context("fork")
+    context, parent = multiprocessing.get_context("fork"), os.getpid()
     reader, writer = context.Pipe(duplex=False)
+
+    def work() -> None:
+        _ward(parent)  # a fork has no threads of its parent, and holds `reader`, so it would wait for a lost parent
+        writer.send(function(*arguments))
+
     with writer, _forking():
-        context.Process(target=lambda: writer.send(function(*arguments)), daemon=True).start()
+        context.Process(target=work, daemon=True).start()
     return reader.recv
 
 

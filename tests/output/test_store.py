@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tomllib
@@ -478,12 +479,39 @@ def test_a_fork_of_the_helper_draws_half_of_the_pictures(tmp_path, monkeypatch, 
         place = ResultFolder(tmp_path / str(helper is None), owner_of_run(run.case)).open()
         written = write_results(run, place, vtk=False, plots=True, helper=helper)[1]
         files[helper] = {file.name: file.read_bytes() for file in written if file.suffix == ".png"}
-    alone, shared = files.values()
+    shared, alone = files.values()
     assert alone == shared and len(alone) == 4
     by_others = [int(line) != this for line in drawn_by.read_text().split()]
     # the fork dies at its first picture; this process then draws all four
     assert sum(by_others) == (1 if killed else 2)
     assert len(by_others) == (2 + 1 + 4 + 4 if killed else 4 + 4)
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc")
+def test_a_fork_does_not_outlive_the_helper(tmp_path):
+    """Its result exceeds the buffer of the pipe, from which nobody reads any more."""
+    script = (
+        "import os, signal, sys\n"
+        "from hjprofile.output.workers import by_a_fork\n"
+        "def work():\n"
+        "    print(os.getpid(), flush=True)\n"
+        "    return bytes(10_000_000)\n"
+        "by_a_fork(work)\n"
+        "sys.stdin.read(1)\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    streams = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, "-c", script], **streams) as helper:
+        fork = int(helper.stdout.readline())
+        assert Path(f"/proc/{fork}").exists()
+        helper.stdin.write("x")
+        helper.stdin.flush()
+        try:
+            _, err = helper.communicate(timeout=20)  # ends when the fork has closed its copies of the streams
+        except subprocess.TimeoutExpired:
+            os.kill(fork, signal.SIGKILL)
+            raise
+    assert helper.returncode == -signal.SIGKILL and err == ""
 
 
 def test_halves_that_a_killed_run_left_are_removed(tmp_path):

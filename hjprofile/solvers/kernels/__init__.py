@@ -59,7 +59,7 @@ def by_type(choose):
     known = {}
 
     @wraps(choose)
-    def chosen(*arguments):  # called only if compilation is disabled
+    def chosen(*arguments):  # as Python, also if compilation is disabled
         kinds = tuple(map(type, arguments))
         if kinds not in known:
             known[kinds] = choose(*map(numba.typeof, arguments))

@@ -42,7 +42,7 @@ def meeting(xa, ra, xb, rb, jump, span, law):
 
 @by_type
 def same_W(xa, ra, xb, rb, jump, law):
-    """Return the position for `meeting`, for which any result but a finite one means that there is none."""
+    """Return the position for `meeting`; NaN if there is none, and infinite if the jump is too small for one."""
     if law.instance_class is Rational:
 
         def rational(xa, ra, xb, rb, jump, law):

@@ -2,7 +2,7 @@
 
 The type of the law selects the code, so each variant is compiled separately and on demand, and a loop contains no
 branch on the law. A formula is evaluated where it is needed. A table is read for all lanes of a loop at once, ahead of
-it, because the reading does not vectorise and the rest of the loop should.
+it, because to copy its coefficients does not vectorise and the rest of the loop should.
 """
 
 from typing import NamedTuple
