@@ -265,6 +265,25 @@ def test_a_damaged_member_is_computed_again(in_tmp):
     assert resumed.recalled == 1 and sweeps.netcdf(resumed) == sweeps.netcdf(whole)
 
 
+@pytest.mark.parametrize("method", [0, 8, 12, 14, 99])
+@pytest.mark.parametrize("flags", [0, 1, 32, 64])
+def test_an_archive_with_other_headers_is_damaged(tmp_path, flags, method):
+    """Members that are marked as encrypted, patched or compressed raise many types of exceptions in the library."""
+    path, arrays = tmp_path / "archive.npz", {"q": np.arange(6.0), "identity": np.array("text")}
+    data = bytearray(pack(arrays))
+    for mark, at in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        start = -1
+        while (start := data.find(mark, start + 1)) >= 0:
+            data[start + at] |= flags
+            data[start + at + 2] = method
+    path.write_bytes(data)
+    if flags == method == 0:
+        assert unpack(path).keys() == arrays.keys()
+    else:
+        with pytest.raises(ValueError, match=r"^[A-Za-z.]+$"):
+            unpack(path)
+
+
 def test_arrays_that_were_not_written_are_no_archive(tmp_path):
     """Not even if the file itself is sound: a shape, a type or a value is another."""
     arrays = {"q": np.arange(6.0).reshape(2, 3), "identity": np.array("text")}
