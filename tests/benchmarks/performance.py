@@ -120,14 +120,20 @@ def window() -> str:
 
 def memory() -> str:
     """Peak memory of a run in arrays of its size, what is kept at the end included."""
-    problem = hj.Problem(hj.rational(), hj.kinks([-6.0], [1.0]), end=3e-4, snapshots=[3e-4])
-    cells = 1_000_000
-    hj.solve_hj(problem, hj.Grid(-10.0, 1000))  # imports and compiles
-    tracemalloc.start()
-    hj.solve_hj(problem, hj.Grid(-10.0, cells))
-    peak = tracemalloc.get_traced_memory()[1] / (8 * cells)
-    tracemalloc.stop()
-    return f"A run on {cells:,} cells with one saved time uses at most the memory of {peak:.1f} arrays of that size."
+    cells, peaks = 1_000_000, {}
+    for method in ("godunov", "conservative", "eno2", "weno5"):
+        solve = hj.solve_conservative if method == "conservative" else hj.solve_hj
+        problem = hj.Problem(hj.rational(), hj.kinks([-6.0], [1.0]), end=3e-4, snapshots=[3e-4])
+        solve(problem, hj.Grid(-10.0, 1000), method)  # imports and compiles
+        tracemalloc.start()
+        solve(problem, hj.Grid(-10.0, cells), method)
+        peaks[method] = tracemalloc.get_traced_memory()[1] / (8 * cells)
+        tracemalloc.stop()
+    shown = ", ".join(f"{peak:.1f} ({name})" for name, peak in peaks.items())
+    return (
+        f"A run on {cells:,} cells with one saved time uses at most the memory of this number of arrays of that size: "
+        f"{shown}."
+    )
 
 
 def start_up() -> str:

@@ -121,8 +121,10 @@ class BoundsMonitor:
             and (flux or name not in ("flux_maximum", "flux_variation", "kruzkov"))
         }  # fmt: skip
         if not inflow:
+            R = np.empty(q.size)
             with np.errstate(all="ignore"):
-                R = law.R(q)
+                for a, b in blocks(q.size):
+                    R[a:b] = law.R(q[a:b])
                 self.highest = float(np.max(R + np.maximum(W[1:], W[:-1]) - W[0])) + minus - self.R0
             self.variation_I = invariant_variation(R, W, self.R0)
             self.ln_K_bound_above = float(law.derivative(0.0)) * plus

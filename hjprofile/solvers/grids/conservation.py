@@ -195,8 +195,10 @@ class HighOrderConservation(HighOrder):
     def _flat_ends(self, first: int, last: int) -> tuple[int, int]:
         return kernels.flat_ends(self.state, first, last, 0.0, 0.0)
 
-    def _means(self, state: Array) -> Array:
-        return state.copy()
+    def _means(self, state: Array, q: Array) -> None:
+        q[:] = state
 
     def _rate(self, F: Array) -> Array:
-        return -np.diff(F) / self.grid.dx
+        change = np.diff(F)
+        change /= -self.grid.dx
+        return change

@@ -19,6 +19,11 @@ from hjprofile.solvers.grids.scheme import HALO
 from hjprofile.solvers.run import Array
 
 
+def _means(W: Array, dx: float, q: Array) -> None:
+    """Fill q on the cells with the difference quotients of W on the nodes."""
+    np.divide(np.subtract(W[1:], W[:-1], out=q), dx, out=q)
+
+
 class HamiltonJacobi:
     """A first-order scheme for W = u - x with a numerical flux and forward Euler steps, many of them in one sweep."""
 
@@ -37,13 +42,13 @@ class HamiltonJacobi:
         self.active = kernels.flat_ends(self.W, 0, grid.cells, W[0], W[-1])
 
     def evaluate(self) -> float:
-        np.divide(np.diff(self.W), self.grid.dx, out=self.q)
+        _means(self.W, self.grid.dx, self.q)
         self.law, speed = self.factor.fill(self.law, self.q, self.K)
         return speed
 
     def means(self) -> tuple[int, Array]:
         a, b = max(self.active[0] - HALO, 0), min(self.active[1] + HALO, self.grid.cells)
-        np.divide(np.diff(self.W[a : b + 1]), self.grid.dx, out=self.q[a:b])
+        _means(self.W[a : b + 1], self.grid.dx, self.q[a:b])
         return a, self.q[a:b]
 
     def advance(self, dt: float, steps: int, bound: float) -> float:
@@ -81,8 +86,8 @@ class HighOrderHamiltonJacobi(HighOrder):
     def _flat_ends(self, first: int, last: int) -> tuple[int, int]:
         return kernels.flat_ends(self.state, first, last, self.state[0], self.state[-1])
 
-    def _means(self, state: Array) -> Array:
-        return np.diff(state) / self.grid.dx
+    def _means(self, state: Array, q: Array) -> None:
+        _means(state, self.grid.dx, q)
 
     def _rate(self, F: Array) -> Array:
-        return -F
+        return np.negative(F, out=F)

@@ -14,31 +14,47 @@ import numpy as np
 
 from hjprofile.problem.grid import Grid
 from hjprofile.solvers.grids.factor import Factor
-from hjprofile.solvers.grids.grid_law import GridLaw
+from hjprofile.solvers.grids.grid_law import GridLaw, blocks
 from hjprofile.solvers.grids.kernels import grid_loops as kernels
 from hjprofile.solvers.grids.scheme import HALO, WithRollback
 from hjprofile.solvers.run import Array, Breakdown
 
-Rate = Callable[[Array], Array]
+Rate = Callable[[Array], Array]  # returns a new array, which the step changes
 
 
-# The steps add an increment d, so a constant value does not change by rounding
+# The steps add an increment d, so a constant value does not change by rounding. They work in place, because their
+# arrays are a large part of the memory of a run.
+def _increment(rate: Rate, y: Array, dt: float) -> Array:
+    """Return dt rate(y)."""
+    d = rate(y)
+    d *= dt
+    return d
+
+
 def ssp_rk2(y: Array, rate: Rate, dt: float) -> Array:
-    """Return y after a step of Heun's method."""
-    d = dt * rate(y)
-    return y + 0.5 * (d + dt * rate(y + d))
+    """Return y after a step of Heun's method: y + (d + dt rate(y + d)) / 2 with d = dt rate(y)."""
+    d = _increment(rate, y, dt)
+    d += _increment(rate, y + d, dt)
+    d *= 0.5
+    d += y
+    return d
 
 
 def ssp_rk4(y: Array, rate: Rate, dt: float) -> Array:
     """Return y after a step of Ketcheson's fourth-order method of ten stages (SIAM J. Sci. Comput. 30, 2008)."""
-    d = dt / 6.0 * rate(y)
+    d = _increment(rate, y, dt / 6.0)
     for _ in range(4):
-        d += dt / 6.0 * rate(y + d)
-    half_way = 0.36 * d
+        d += _increment(rate, y + d, dt / 6.0)
+    total = 0.36 * d  # y + 0.36 d of half way + 0.6 d of the ninth stage + dt/10 of the last rate
     d *= 0.4
     for _ in range(4):
-        d += dt / 6.0 * rate(y + d)
-    return y + (half_way + 0.6 * d + 0.1 * dt * rate(y + d))
+        d += _increment(rate, y + d, dt / 6.0)
+    last = _increment(rate, y + d, 0.1 * dt)
+    d *= 0.6
+    total += d
+    total += last
+    total += y
+    return total
 
 
 class Order(NamedTuple):
@@ -76,12 +92,12 @@ class HighOrder(WithRollback):
         self.toe_gain = self.crest_lowering = 0.0
         self.active = self._flat_ends(0, self.state.size - 1)
 
-    def _means(self, state: Array) -> Array:
-        """Return the cell means."""
+    def _means(self, state: Array, q: Array) -> None:
+        """Fill q with the cell means."""
         raise NotImplementedError
 
     def _rate(self, F: Array) -> Array:
-        """Return the rate of change of the state from F at the nodes."""
+        """Return the rate of change of the state from F at the nodes; it may use the memory of F."""
         raise NotImplementedError
 
     def _flat_ends(self, first: int, last: int) -> tuple[int, int]:
@@ -89,40 +105,47 @@ class HighOrder(WithRollback):
         raise NotImplementedError
 
     def evaluate(self) -> float:
-        self.q = self._means(self.state)
+        self._means(self.state, self.q)
         if not np.min(self.q) > -1.0:
             raise Breakdown(self.q, self.K)
         self.law = self.law.covering(self.q)
-        return self._speed(self.q, self._fluxes(self.q, self.inflow, self.K, self.factor.given())[1], self.K)
+        edges = self._edges(self.q)
+        self._fluxes(edges, self.inflow, self.K, self.factor.given())
+        return self._speed(self.q, edges, self.K)
 
     def means(self) -> tuple[int, Array]:
         nodes = self.state.size - self.grid.cells
         a, b = max(self.active[0] - HALO, 0), min(self.active[1] + 1 + HALO, self.grid.cells)
-        self.q[a:b] = self._means(self.state[a : b + nodes])
+        self._means(self.state[a : b + nodes], self.q[a:b])
         return a, self.q[a:b]
 
-    def _fluxes(self, q: Array, inflow: float, K: Array, given: Array | None) -> tuple[Array, Array]:
-        """Return F at the nodes and q on their left, from q on the cells; fill K from q, or as prescribed."""
+    def _edges(self, q: Array) -> Array:
+        """Return q on the left of the nodes, from q on the cells."""
         g = kernels.GHOSTS
         padded = np.empty(q.size + 2 * g)
         padded[g:-g] = q
         kernels.ghosts(padded)
         edges = np.empty(q.size + 1)
         self.order.edges(padded, edges)
-        F = padded[: q.size + 1]  # the memory is needed no more
-        f = self.law.law.f(edges)
+        return edges
+
+    def _fluxes(self, edges: Array, inflow: float, K: Array, given: Array | None) -> Array:
+        """Return F at the nodes; fill K from q on the left of the nodes, or as prescribed."""
+        F = np.empty(edges.size)
+        for a, b in blocks(F.size):
+            F[a:b] = self.law.law.f(edges[a:b])
         if given is None:
-            kernels.exponent_from_nodes(f, self.grid.dx, self.order.high_quadrature, K)
+            kernels.exponent_from_nodes(F, self.grid.dx, self.order.high_quadrature, K)
             np.exp(K, out=K)
         else:
             K[:] = given[0]
-        np.multiply(K, f, out=F)
+        F *= K
         F[0] = inflow
-        return F, edges
+        return F
 
     def _speed(self, q: Array, edges: Array, K: Array, first: int = 0) -> float:
         """Return the largest K f'. Raise Breakdown if it is not finite and positive."""
-        speed = float(kernels.fastest(K, self.law.derivative(np.minimum(q, edges[1:]))))
+        speed = self.law.fastest(np.minimum(q, edges[1:]), K)
         if not 0.0 < speed < np.inf:
             raise Breakdown(q, K, first)
         return speed
@@ -138,18 +161,25 @@ class HighOrder(WithRollback):
         reach = kernels.GHOSTS * self.order.stages + 6  # stencil of a step, and six nodes for a quadrature
         a, b = max(self.active[0] - reach, 0), min(self.active[1] + 1 + reach, cells)
         inflow = self.inflow if a == 0 else 0.0
-        K = np.ones(b - a + 1)
+        K = self.K[a : b + 1]
         speed_outside = self.factor.window(self.law, np.array([start]), a, b)[1]
         speeds: list[float] = []
 
-        def rate(y: Array) -> Array:
-            q = self._means(y[:-3])
+        def fluxes(y: Array) -> Array:
+            q = np.empty(b - a)
+            self._means(y[:-3], q)
             if not q.min() > -1.0:
                 raise Breakdown(q, K, a)
-            F, edges = self._fluxes(q, inflow, K, self.factor.given(start + y[-1], slice(a, b + 1)))
+            edges = self._edges(q)
+            F = self._fluxes(edges, inflow, K, self.factor.given(start + y[-1], slice(a, b + 1)))
             if not speeds:  # of states, not of stages
                 speeds.append(max(self._speed(q, edges, K, a), speed_outside))
-            return np.concatenate([self._rate(F), [K[0] - 1.0, F[-1], 1.0]])
+            return F
+
+        def rate(y: Array) -> Array:
+            F = fluxes(y)  # its other arrays are free again
+            sums = [K[0] - 1.0, F[-1], 1.0]
+            return np.append(self._rate(F), sums)
 
         part = slice(a, b + nodes)
         # the last entry is the time, so each stage has its own
