@@ -7,6 +7,7 @@ import pytest
 
 import hjprofile as hj
 from hjprofile.solvers.closed_forms import travelling_kink
+from hjprofile.solvers.grids import kink_tracker
 from hjprofile.solvers.run import Event, in_order
 
 TRIPLE = -5.893338246587875  # from here the first kink reaches the others as they meet, by bisection on fronts
@@ -72,6 +73,20 @@ def test_a_speed_that_cannot_be_measured_is_not_stated(method):
     stated = speeds[np.isfinite(speeds[:, 0])]
     assert len(stated) >= 0.9 * len(speeds)
     assert np.abs(stated[:, 0] / stated[:, 1] - 1.0).max() <= 0.02
+
+
+def test_speeds_are_the_same_in_many_blocks(monkeypatch):
+    """Of sightings at many saved times."""
+    case = hj.load_case("two_kinks")
+
+    def speeds():
+        return [k.speed for k in on_a_grid(replace(case.problem, snapshots=41), case.grid, "godunov").kinks]
+
+    one = speeds()
+    monkeypatch.setattr(kink_tracker, "MOST_ENTRIES", 1)
+    many = speeds()
+    assert 41 <= np.isfinite(one).sum() < len(one)
+    assert many == pytest.approx(one, rel=1e-12, nan_ok=True)
 
 
 def triple(end):

@@ -23,6 +23,7 @@ SCATTER = 0.005  # largest residual of the fit as a fraction of the distance; th
 LEAST_SPAN = 12  # cells, smallest range for a speed: positions scatter by about 0.05 cells
 SCATTER_BACK = 2  # cells by which a kink may appear to move downslope: its mean error is 0.3 to 1.9 (theory, Kinks)
 LEAST_LIFE = 3  # sightings that define a kink which is still resolved at the end
+MOST_ENTRIES = 1 << 18  # of a matrix of saved times and sightings: 2 MB
 LEAST_WAY = 6  # cells that any other kink crosses; shorter paths are caused by the detection threshold
 
 
@@ -134,20 +135,17 @@ class KinkTracker:
     def result(self, saved_times: Array) -> tuple[list[KinkRecord], list[Event]]:
         """Return the kinks at the saved times, and the events of the whole run."""
         paths = link(self.frames, self.grid.dx, self._speed)
-        curves = {id(p): _Curve.of(p, sorted(o.end.time for o in paths if o.into is p and o.end)) for p in paths}
-        records = []
-        for t in saved_times.tolist():
-            left = [p for p in paths if p.end and p.end.event == "exit" and p.end.time <= t]
-            rows = [(p, p.times.index(t)) for p in paths if t in p.times and p not in left]
-            for path, i in sorted(rows, key=lambda row: row[0].sightings[row[1]].x):
-                s = path.sightings[i]
+        saved, records = set(saved_times.tolist()), []
+        for p in paths:
+            left = p.end.time if p.end and p.end.event == "exit" else np.inf
+            at = [i for i, t in enumerate(p.times) if t in saved and t < left]
+            turns = sorted(o.end.time for o in paths if o.into is p and o.end)
+            for i, measured in zip(at, measured_speeds(p, at, turns, self.grid.dx), strict=True):
+                s = p.sightings[i]
                 records.append(
-                    KinkRecord(
-                        t, path.number, s.x, s.q_left, s.q_right, s.jump,
-                        _measured_speed(curves[id(path)], i, self.grid.dx), self._speed(s),
-                    )
-                )  # fmt: skip
-        return records, events_of(paths, self.frames[-1][0])
+                    KinkRecord(p.times[i], p.number, s.x, s.q_left, s.q_right, s.jump, measured, self._speed(s))
+                )
+        return sorted(records, key=lambda r: (r.time, r.x)), events_of(paths, self.frames[-1][0])
 
     def _speed(self, s: Sighting) -> float:
         """Return the Rankine-Hugoniot speed K [f]/[q]."""
@@ -396,44 +394,43 @@ def _slope(t: Array, x: Array) -> float:
     return float(centred @ x) / spread if spread > 0 else 0.0
 
 
-class _Curve(NamedTuple):
-    """The sightings of a path: times, positions, and the number of jumps of its speed before each."""
+def measured_speeds(path: _Path, at: Sequence[int], turns: Sequence[float], dx: float) -> list[float]:
+    """Return dx/dt of the cubics through the sightings around those with the indices `at`.
 
-    t: Array
-    x: Array
-    side: Array
-
-    @classmethod
-    def of(cls, path: _Path, turns: Sequence[float]) -> _Curve:
-        """Return the curve of a path; its speed jumps at the times `turns`."""
-        t = np.array(path.times)
-        return cls(t, np.array([s.x for s in path.sightings]), np.searchsorted(turns, t, side="right"))
-
-
-def _measured_speed(curve: _Curve, i: int, dx: float) -> float:
-    """Return dx/dt of the cubic through the sightings around the i-th, between two jumps of the speed.
-
-    The fit is one-sided close to a birth, a merge or an exit. The speed is NaN if the sightings are too few, too near
-    each other for their accuracy, or not on one smooth curve. It is NaN at x = 0, where kinks are located less well.
+    The speed jumps at the times `turns`, so a fit is one-sided close to a merge, as it is close to a birth and an exit.
+    It is NaN if the sightings are too few, too near each other for their accuracy, or not on one smooth curve, and at
+    x = 0, where kinks are located less well.
     """
-    t, x, side = curve
-    whole = x <= -WIDEST_SHOCK * dx
-    if not whole[i]:
-        return float("nan")
-    t, x, far = (a[whole & (side == side[i])] for a in (t - t[i], x, np.abs(x - x[i])))
-    fewest = min(FEWEST_SIGHTINGS, far.size) - 1
-    near = far <= max(NEARBY * dx, float(np.partition(far, fewest)[fewest]))
-    t, x = t[near], x[near] - x[near][0]
-    reach = float(x.max() - x.min())
-    if t.size < FEWEST_SIGHTINGS - 1 or reach < LEAST_SPAN * dx:
-        return float("nan")
-    scale = float(t[-1] - t[0])
-    s = t / scale
-    powers = np.array([np.ones_like(s), s, s * s, s * s * s][: min(3, t.size - 2) + 1])
-    # s is of order 1, so the condition of this matrix is 1e5 at most
-    cubic = np.linalg.solve(powers @ powers.T, powers @ x)
-    smooth = np.abs(cubic @ powers - x).max() <= SCATTER * reach
-    return float(cubic[1]) / scale if smooth else float("nan")
+    t, x = np.array(path.times), np.array([s.x for s in path.sightings])
+    side, whole = np.searchsorted(turns, t, side="right"), x <= -WIDEST_SHOCK * dx
+    speeds = np.full(len(at), np.nan)
+    rows = max(1, MOST_ENTRIES // t.size)
+    for first in range(0, len(at), rows):
+        i = np.array(at[first : first + rows])[:, None]
+        speeds[first : first + rows] = _speeds_at(i, t, x, whole & whole[i] & (side == side[i]), dx)
+    return speeds.tolist()
+
+
+def _speeds_at(i: Array, t: Array, x: Array, usable: Array, dx: float) -> Array:
+    """Return the speeds at the sightings i, shape (rows, 1), from the usable ones, shape (rows, sightings)."""
+    far = np.where(usable, np.abs(x - x[i]), np.inf)
+    fewest = min(FEWEST_SIGHTINGS, x.size) - 1
+    near = usable & (far <= np.maximum(NEARBY * dx, np.partition(far, fewest, axis=1)[:, fewest, None]))
+    first, last = np.argmax(near, axis=1)[:, None], x.size - 1 - np.argmax(near[:, ::-1], axis=1)[:, None]
+    within = first + np.arange(np.max(last - first) + 1)
+    at = np.minimum(within, last)
+    near = np.take_along_axis(near, at, axis=1) & (within <= last)
+    x, s = np.where(near, x[at] - x[first], 0.0), t[at] - t[i]
+    reach, scale = np.ptp(x, axis=1), s[:, -1] - s[:, 0]
+    enough = (near.sum(axis=1) >= FEWEST_SIGHTINGS - 1) & (reach >= LEAST_SPAN * dx)
+    near, x, s = near[enough], x[enough], s[enough] / scale[enough, None]
+    powers = np.stack([near, near * s, near * (s * s), near * (s * s * s)], axis=1)
+    # s is of order 1, so the condition of these matrices is 1e5 at most
+    cubics = np.linalg.solve(powers @ powers.transpose(0, 2, 1), powers @ x[:, :, None])
+    residual = np.abs((powers * cubics).sum(axis=1) - x).max(axis=1, initial=0.0)
+    speeds = np.full(len(i), np.nan)
+    speeds[enough] = np.where(residual <= SCATTER * reach[enough], cubics[:, 1, 0] / scale[enough], np.nan)
+    return speeds
 
 
 def events_of(paths: Sequence[_Path], end: float) -> list[Event]:
