@@ -102,13 +102,14 @@ class Snapshots:
 
 
 def walk(
-    solution: Solution, problem: Problem, grid: Grid, watch: SnapshotBounds,
+    solution: Solution, problem: Problem, grid: Grid, watch: SnapshotBounds | None = None,
     progress: Callable[[float], None] | None = None, witness: Witness | None = None,
     judged: Sequence[float] | None = None,
 ) -> Snapshots:  # fmt: skip
     """Move a solution to each saved time and to the end, until it stops, and read it on the grid.
 
-    The bounds are evaluated at the times `judged`, by default at all times at which the solution is read.
+    The bounds, if `watch` judges them, are evaluated at the times `judged`, by default at all times at which the
+    solution is read.
     """
     saved, found = problem.times, Snapshots()
     extra = [witness.times if witness else np.empty(0), np.empty(0) if judged is None else np.array(judged)]
@@ -124,7 +125,7 @@ def walk(
         except Lost as lost:
             found.stop = solution.stop(target, lost)
             break
-        if judged is None or target in judged:
+        if watch and (judged is None or target in judged):
             watch.observe(target, W, solution.volume(), solution.totals[TOE_GAIN], solution.totals[CREST_LOWERING])
         if witness and target in witness.times:
             witness.W.append(solution.read(witness.nodes)[0])

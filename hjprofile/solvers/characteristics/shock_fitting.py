@@ -62,7 +62,8 @@ def _two_runs(
         raise Stopped(Stop(error.stop.reason, "stopped at t = {t:.6g}: {why}", "use the method fronts", why)) from None
     table = _table(problem, panels)
     first = MovingLabels(problem, panels, table, min(COARSER * steps, COARSE_STEPS), patience)
-    coarse, W_coarse = _march(first, problem, grid)
+    coarse = walk(first, problem, grid)
+    W_coarse = coarse.rows(grid)[0]
     fine, W = _march(MovingLabels(problem, panels, table, steps, first.patience), problem, grid, progress)
     if not len(W):
         assert fine.stop is not None
@@ -73,13 +74,13 @@ def _two_runs(
     budget = 10.0 * fine.volume_budget_error / -float(panels.mesh.base[0])
     return replace(
         fine,
-        wall_seconds=fine.wall_seconds + coarse.wall_seconds,
+        wall_seconds=fine.wall_seconds + coarse.seconds,
         error_estimate=max(2.0 * apart, budget) + rounding,
     )
 
 
 def _march(
-    solver: MovingLabels, problem: Problem, grid: Grid, progress: Callable[[float], None] | None = None
+    solver: MovingLabels, problem: Problem, grid: Grid, progress: Callable[[float], None] | None
 ) -> tuple[Run, Array]:
     """Return the run through all saved times that the method reaches, and W, which has less rounding than u."""
     start = solver.now.panels
