@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+import textwrap
 import time
 import tracemalloc
 from collections.abc import Callable, Mapping
@@ -17,6 +18,7 @@ from functools import partial
 from pathlib import Path
 
 import bench_kernels
+import llvmlite.binding as llvm
 import numpy as np
 import peers
 import startup
@@ -33,6 +35,7 @@ from hjprofile.studies.chart import Point, chart_of, seconds_to
 DOCS = Path(__file__).parents[2] / "docs"
 SIZES = 1_000, 10_000, 100_000, 1_000_000
 MOST = 1e4  # seconds that are told where they are extrapolated
+WIDTH = 120  # characters of a line of the page
 PEER_CELLS = 250, 350, 500, 700, 1000, 1400, 2000, 2800, 4000, 5600, 8000
 say = Console(stderr=True).print
 
@@ -138,7 +141,8 @@ def memory() -> str:
 
 def start_up() -> str:
     """Whole processes: `hjprofile run travelling_kink` for the first time ever, and later."""
-    found = startup.in_turns([startup.HERE], 5)
+    rounds = 5
+    found = startup.in_turns([startup.HERE], rounds)
 
     def shown(name: str) -> str:
         wall, processor = np.median(found[name, startup.HERE], axis=0)
@@ -146,7 +150,8 @@ def start_up() -> str:
 
     return (
         "`hjprofile run travelling_kink`, the whole process with its pictures and VTK files, takes "
-        f"{shown('first run')} if nothing has been compiled yet, and {shown('later run')} afterwards."
+        f"{shown('first run')} if nothing has been compiled yet, and {shown('later run')} afterwards. These are "
+        f"medians of {rounds} runs; `python tests/benchmarks/startup.py` measures them, and compares two checkouts."
     )
 
 
@@ -273,19 +278,19 @@ def _own(solve: Callable[..., hj.Run], *arguments) -> tuple[np.ndarray, float]:
 
 PAGE = """# Speed and accuracy, measured
 
-All numbers and charts on this page were measured with version 0.1.0 on two cores. One command measures them and writes
-this page:
+All numbers and charts on this page were measured with version {version} on {machine}. One command measures them and
+writes this page:
 
 <!-- not run: ten minutes -->
 ```sh
 pip install -e '.[bench]' && python tests/benchmarks/performance.py
 ```
 
-Run times depend on the machine. Ratios depend on it less, because the runs to be compared took turns on one machine.
+Run times depend on the machine, and those of the sweeps on the width of its vectors. Ratios depend on it less, because
+the runs to be compared took turns on one machine.
 Seconds are those of the time stepping alone, without compilation and output. A star marks an extrapolated time; `>1e4`
-is an extrapolated time above 1e4 s. The error is ‖q - q_exact‖₁, where q
-is the excess slope. The
-algorithm is described on the page [How the sweeps work](kernels.md).
+is an extrapolated time above 1e4 s. The error is ‖q - q_exact‖₁, where q is the excess slope. The algorithm is
+described on the page [How the sweeps work](kernels.md).
 
 ## Kernels
 
@@ -329,10 +334,31 @@ finest run (a star) the run time is assumed to grow like the square of the numbe
 """
 
 
+def machine() -> str:
+    """The number of cores, and the processor as the compiler knows it."""
+    features, cores = llvm.get_host_cpu_features(), len(os.sched_getaffinity(0))
+    bits = 512 if features.get("avx512f") else 256 if features.get("avx2") else 128
+    return f"{cores} cores of a processor with vectors of {bits} bits (`{llvm.get_host_cpu_name()}`)"
+
+
+def wrapped(page: str) -> str:
+    """The page with the lines of its paragraphs and lists filled."""
+    blocks = page.strip().split("\n\n")
+    for i, block in enumerate(blocks):
+        if block.startswith("- "):
+            items = [" ".join(item.split()) for item in block[2:].split("\n- ")]
+            blocks[i] = "\n".join(textwrap.fill(f"- {item}", WIDTH, subsequent_indent="  ") for item in items)
+        elif not block.startswith(("#", "|", "<", "![")):
+            blocks[i] = textwrap.fill(" ".join(block.split()), WIDTH, break_on_hyphens=False)
+    return "\n\n".join(block for block in blocks if block.strip()) + "\n"
+
+
 def main() -> None:
     os.chdir(tempfile.gettempdir())  # PyClaw leaves a log where it is imported
     found, table = kernels()
     content = {
+        "version": hj.__version__,
+        "machine": machine(),
         "kernels": table,
         "ratios": ratios(found),
         "window": window(),
@@ -342,7 +368,7 @@ def main() -> None:
     content["peers"] = against_peers()
     content["charts"] = charts()[1]
     content["peer_cells"] = f"{PEER_CELLS[0]} to {PEER_CELLS[-1]}"
-    (DOCS / "performance.md").write_text(PAGE.format(**content), encoding="utf-8")
+    (DOCS / "performance.md").write_text(wrapped(PAGE.format(**content)), encoding="utf-8")
     say(f"written to {DOCS / 'performance.md'}")
 
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 import hjprofile as hj
 from hjprofile import cli
+from hjprofile.output.plots.study_pictures import draw_chart
 from hjprofile.solvers.methods import METHODS
 from hjprofile.studies import chart as charts
 from hjprofile.studies.chart import Point, chart_of, pareto, seconds_to
@@ -205,3 +206,11 @@ def test_seconds_of_a_run_that_was_disturbed(monkeypatch):
     assert timed(0.1, 0.4, 0.3, 0.2) == (0.2, 3)
     assert timed(0.0, 2.0, 0.3, 0.2) == (0.2, 3)  # the first run, which loads compiled loops
     assert timed(0.01, 0.01, 0.03, 0.02) == (0.02, 3)
+
+
+def test_the_methods_of_a_picture_look_different():
+    """Only a flux that another form takes over has the look of that flux."""
+    axes = draw_chart([smooth_chart()]).axes[0]
+    looks = {line.get_label(): (line.get_color(), line.get_marker()) for line in axes.lines}
+    shown = {m.name for m in METHODS.values() if not m.carries and not m.needs_tolerance} & looks.keys()
+    assert len(shown) >= 9 and len({looks[name] for name in shown}) == len(shown)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import cycle
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,13 +19,13 @@ from hjprofile.studies.dependence import Distance, largest_distances, observed_c
 from hjprofile.studies.stability import FAILS, HOLDS, LOSES, OSCILLATES, Trial
 
 # Okabe and Ito's colours, distinguishable without green and red. The fluxes that a form takes over share its colour and
-# are drawn lightly. The order is that of the table of methods; the palette repeats if that is longer.
+# are drawn lightly. The order is that of the table of methods.
 _PALETTE = (
     ("#999999", "o"), ("#E69F00", "o"), ("#56B4E9", "o"), ("#CC79A7", "o"), ("#009E73", "s"), ("#000000", "D"),
-    ("#0072B2", "s"), ("#D55E00", "^"), ("#B8A800", "*"),
+    ("#0072B2", "s"), ("#D55E00", "^"), ("#B8A800", "*"), ("#882255", "v"),
 )  # fmt: skip
 _DRAWN = [method.name for method in METHODS.values() if not method.carries and not method.needs_tolerance]
-_LOOKS = dict(zip(_DRAWN, cycle(_PALETTE), strict=False))
+_LOOKS = dict(zip(_DRAWN, _PALETTE, strict=True))
 
 
 @style.defaults
@@ -76,7 +75,7 @@ def draw_chart(charts: Sequence[Chart]) -> Figure:
         row[1].set_title(f"({next(letters)})", loc="left", fontweight="bold")
         against = f"reference: {reference.name}"
         if reference.error > 0.0:
-            against += f", error of u {reference.error:.0e}, of q {reference.error_q:.0e}"
+            against += f",\nerror of u {reference.error:.0e}, of q {reference.error_q:.0e}"
         row[1].set_title(against, loc="right", fontsize=8, color="0.35")
     handles, labels = rows[0][1].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right upper", fontsize=8, frameon=False)
