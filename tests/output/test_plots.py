@@ -371,3 +371,36 @@ def test_panels_have_letters(name):
     """Each in the corner with the fewest points of curves."""
     panels = plain(drawn(name, draw_profiles))
     assert [[text.get_text() for text in axes.texts] for axes in panels] == [["(a)"], ["(b)"], ["(c)"]]
+
+
+def test_a_line_through_many_points_keeps_its_extremes():
+    n = 300_003
+    y = np.cumsum(np.random.default_rng(5).standard_normal(n))
+    y[[1234, 77_777]] = 1e4, -1e4
+    at = style.visible(y)
+    assert np.all(np.diff(at) > 0) and (at[0], at[-1]) == (0, n - 1)
+    assert at.size <= 4 * style.PARTS
+    part = -(-n // style.PARTS)
+    for first in range(0, n, part):
+        whole, drawn = y[first : first + part], y[at[(at >= first) & (at < first + part)]]
+        assert (drawn[0], drawn[-1]) == (whole[0], whole[-1])
+        assert (drawn.min(), drawn.max()) == (whole.min(), whole.max())
+    assert np.array_equal(style.visible(y[: 4 * style.PARTS]), np.arange(4 * style.PARTS))
+
+
+@pytest.mark.parametrize("draw", [draw_profiles, draw_factor])
+def test_the_lines_of_a_fine_grid_have_few_points(draw, monkeypatch):
+    """With the extremes of the lines through all points."""
+    problem = hj.Problem(hj.rational(), hj.bumps([0.8, -0.3], [-3.0, -1.5], [0.3, 0.2]), end=0.5, snapshots=3)
+    run = hj.solve_hj(problem, hj.Grid(-5.0, 3000))
+
+    def lines():
+        return [line.get_ydata() for axes in draw(run).axes for line in axes.lines if len(line.get_ydata()) > 100]
+
+    whole = lines()
+    monkeypatch.setattr(style, "PARTS", 100)
+    few = lines()
+    assert len(few) == len(whole) >= 3
+    for y, of_all in zip(few, whole, strict=True):
+        assert len(of_all) >= 3000 and len(y) <= 400
+        assert (y[0], y[-1], y.min(), y.max()) == (of_all[0], of_all[-1], of_all.min(), of_all.max())

@@ -123,7 +123,7 @@ def _animated_figure(run: Run) -> tuple[Figure, list[Any], Callable[[int], None]
     for axes, heights in ((top, u), (bottom, run.q)):  # limits for all times, so that the axes stay fixed
         axes.update_datalim([(x[0], heights.min()), (x[-1], heights.max())])
         axes.autoscale_view()
-    start = top.plot(x, u[0], color=style.PALE, lw=0.8, ls=(0, (4, 2)), label="at the start")
+    start = style.draw_line(top, x, u[0], color=style.PALE, lw=0.8, ls=(0, (4, 2)), label="at the start")
     profile, slope = (axes.plot([], [], color=INK, lw=1.1)[0] for axes in (top, bottom))
     kinks = style.kinks_on(run, x, u)
     trails = [top.plot([], [], color=INK, lw=0.6)[0] for _ in kinks]
@@ -140,10 +140,12 @@ def _animated_figure(run: Run) -> tuple[Figure, list[Any], Callable[[int], None]
     cells, volume = (run.units.x(run.x_cell), run.units.volume) if run.units else (run.x_cell, 1.0)
 
     def show(i: int) -> None:
-        profile.set_data(x, u[i])
-        slope.set_data(cells, run.q[i])
-        for shade, edge in zip(shades, (np.minimum(u[i], u[0]), np.maximum(u[i], u[0])), strict=True):
-            shade.set_verts([np.column_stack([np.append(x, x[::-1]), np.append(u[0], edge[::-1])])])
+        drawn, of_cell = style.visible(u[0], u[i], u[i] - u[0]), style.visible(run.q[i])
+        there, first, now = x[drawn], u[0, drawn], u[i, drawn]
+        profile.set_data(there, now)
+        slope.set_data(cells[of_cell], run.q[i, of_cell])
+        for shade, edge in zip(shades, (np.minimum(now, first), np.maximum(now, first)), strict=True):
+            shade.set_verts([np.column_stack([np.append(there, there[::-1]), np.append(first, edge[::-1])])])
         for trail, (at, heights, index) in zip(trails, kinks, strict=True):
             trail.set_data(at[index <= i], heights[index <= i])
         dots[0].set_data(*style.dots_on(run, i, x, u[i]))

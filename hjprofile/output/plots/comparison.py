@@ -101,10 +101,10 @@ def draw_comparison(first: Run, second: Run, names: tuple[str, str]) -> Figure:
     norm = Normalize(*style.span(times))
     for i in style.spread(times.size, SHOWN):
         for height, look in zip(heights, _LOOKS, strict=True):
-            top.plot(x, height[i], **look)
+            style.draw_line(top, x, height[i], **look)
         colour = TIMES(norm(times[i]))
-        middle.plot(x, heights[0, i] - heights[1, i], color=colour, lw=0.9)
-        bottom.plot(x_cell, both.slope[0, i] - both.slope[1, i], color=colour, lw=0.9)
+        style.draw_line(middle, x, heights[0, i] - heights[1, i], color=colour, lw=0.9)
+        style.draw_line(bottom, x_cell, both.slope[0, i] - both.slope[1, i], color=colour, lw=0.9)
     largest = np.abs(heights[0] - heights[1]).max(axis=1)
     apart = largest > ROUNDING * rise
     moments = zip(times.tolist(), kinks, strict=True)

@@ -55,12 +55,14 @@ def draw_profiles(run: Run) -> Figure:
     figure = style.sheet(run.title, style.about(run), rows, 4.9)
     top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
     shown, colour = style.shown_times(run)
-    _shade(top, x, u[0], u[-1])
-    _shade(middle, x, 0.0, u[-1] - u[0])
+    cells = run.units.x(run.x_cell) if run.units else run.x_cell
+    at = style.visible(u[0], u[-1], u[-1] - u[0])
+    _shade(top, x[at], u[0, at], u[-1, at])
+    _shade(middle, x[at], 0.0, u[-1, at] - u[0, at])
     for i in shown:
-        top.plot(x, u[i], color=colour(i), lw=0.9)
-        middle.plot(x, u[i] - u[0], color=colour(i), lw=0.9)
-        bottom.plot(run.x_cell if not run.units else run.units.x(run.x_cell), run.q[i], color=colour(i), lw=0.9)
+        style.draw_line(top, x, u[i], color=colour(i), lw=0.9)
+        style.draw_line(middle, x, u[i] - u[0], color=colour(i), lw=0.9)
+        style.draw_line(bottom, cells, run.q[i], color=colour(i), lw=0.9)
     for axes, heights in ((top, u), (middle, u - u[0])):
         for at, height, _ in style.kinks_on(run, x, heights):
             axes.plot(at, height, color=INK, lw=0.6, zorder=2.5)
@@ -258,7 +260,7 @@ def curves_on(axes: Axes, run: Run, values: Array) -> None:
     shown, colour = style.shown_times(run)
     unit, _, numbers = style.axis_of_time(run.time, run.units)
     for i in shown:
-        axes.plot(x, values[i], color=colour(i), lw=0.9, label=numbers(unit * float(run.time[i]), 0.0))
+        style.draw_line(axes, x, values[i], color=colour(i), lw=0.9, label=numbers(unit * float(run.time[i]), 0.0))
         axes.plot(*style.dots_on(run, i, x, values[i]), **DOT, ls="none", zorder=3)
     style.axis_of_x(axes, x, x_label)
 
