@@ -111,7 +111,7 @@ def _solve(name: Path, path: Path | None, asked: _Options, label: str) -> tuple[
     """Solve a case and write its result folder. Return the document, and an error if the run has stopped early."""
     from hjprofile.output.checkpoint import NAME, Checkpoint
     from hjprofile.output.run_account import run_account
-    from hjprofile.output.store import summary, write_results
+    from hjprofile.output.store import check_memory, summary, write_results
     from hjprofile.output.workers import drawing_helper
     from hjprofile.problem.case import load_case
 
@@ -121,6 +121,7 @@ def _solve(name: Path, path: Path | None, asked: _Options, label: str) -> tuple[
         from hjprofile.solvers.solve import check_case, solve_and_keep
 
         check_case(loaded)
+        check_memory(loaded)
         folder.open()
         checkpoint = Checkpoint(folder.path, loaded.checkpoint, asked.resume, folder.claim)
         with Progress(label, asked.bar) as progress:

@@ -22,6 +22,7 @@ from hjprofile.output.faults import fault_of
 from hjprofile.output.folder import ResultFolder, owner_of_run
 from hjprofile.output.survey_columns import names_with_survey_columns, with_survey_columns
 from hjprofile.output.workers import by_a_fork
+from hjprofile.problem.case import Case
 from hjprofile.problem.ranges import as_path, instance
 from hjprofile.problem.stored import read_profile
 from hjprofile.problem.units import SurveyLine, Units
@@ -36,6 +37,9 @@ STEPS_FILE = "vertical_steps.csv"
 SURVEY_FILE = "survey.csv"
 NORMS_FILE = "norms.csv"
 PICTURES = "profile", "diagram", "factor", "norms"
+# Measured arrays for each saved time, and others, of a run with its files: profile.nc is put together in memory, and so
+# are VTK files; another process draws
+RESULT_ONLY, WITH_FILES = (12, 15), (24, 24)
 LONGEST_REASON = 200  # characters of an exception in a warning
 # files that not every run writes
 _OF_A_RUN = (
@@ -115,6 +119,16 @@ def write_results(
         run = replace(run, cautions=[*run.cautions, *failures])
         end = place.write({"summary.json": to_json(summary(run))})
     return run, files + end
+
+
+def check_memory(case: Case) -> None:
+    """Raise InputError if the run of a case with all its files would need more than the memory of the machine."""
+    files = case.plots or case.vtk
+    try:
+        case.grid.check_memory(case.problem.kept, *(WITH_FILES if files else RESULT_ONLY))
+    except InputError as error:
+        remedy = ", or leave files out by --no-plots and --no-vtk" if files else ""
+        raise InputError(f"{case.source}: [domain] {error}{remedy}", "the-domain-and-the-grid") from None
 
 
 def _drawn(run: Run, drawn: Future | None) -> tuple[dict[str, bytes | str], list[str]]:

@@ -80,14 +80,16 @@ class Grid:
         """Return ∫ of a function given at the nodes, shape (cells + 1,), by the trapezoidal rule."""
         return self.dx * float(np.sum(values) - 0.5 * (values[0] + values[-1]))
 
-    def check_memory(self, snapshots: int) -> None:
-        """Raise InputError if a run on this grid would need more than the memory of the machine."""
+    def check_memory(self, snapshots: int, each: int = 7, own: int = 27) -> None:
+        """Raise InputError if so many arrays of `each` snapshot and `own` others exceed the memory of the machine.
+
+        By default these are u, q and K, those of the reference for the error, and the arrays of a solver.
+        """
         try:
             memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
         except (AttributeError, ValueError, OSError):  # not a POSIX system: let the allocation itself fail
             return
-        # u, q, K of every snapshot, twice (the file is put together in memory), and the solver's arrays
-        cell = 8 * (6 * snapshots + 30)
+        cell = 8 * (each * snapshots + own)
         needed = int(self.cells) * cell
         if needed > memory:
             most = memory // cell

@@ -120,8 +120,11 @@ def cells_resolve(problem: Problem, grid: Grid) -> Resolution:
     profile, law = problem.profile, problem.law
     if isinstance(profile, Kinks) and grid.dx <= SLOPE * float(np.min(law.R_derivative(profile.amplitudes))):
         return EXACT  # q decays over R'(q): a sample, costly under most laws, is unnecessary
-    sample = fine_sample(problem, grid.left, grid.right, grid.nodes)
-    W = np.interp(sample.x, grid.nodes, np.interp(grid.nodes, sample.x, sample.W))  # the sample holds the nodes
+    # cells without a position of the sample add no error
+    right = np.searchsorted(grid.nodes, fine_sample(problem, grid.left, grid.right).x)
+    nodes = grid.nodes[np.unique(np.concatenate([[0], np.maximum(right - 1, 0), right, [grid.cells]]))]
+    sample = fine_sample(problem, grid.left, grid.right, nodes)
+    W = np.interp(sample.x, nodes, np.interp(nodes, sample.x, sample.W))  # the sample holds these nodes
     return compare_data(problem, sample, W, _ln_K(problem, sample.x, np.diff(W) / np.diff(sample.x)))
 
 

@@ -35,6 +35,7 @@ MOST_FRONTS = 25_600
 MORE, FEWER = 3200, 800  # fronts of the reference of a run by 1600 fronts
 CLEAR = 0.5  # largest error of a reference, as a fraction of its distance from the run, that ends the search
 CLEAR_TOE = 0.01  # the same for the toe outflow, as a fraction of the toe outflow
+MOST_READ = 1 << 23  # values of u of a run on a grid: references off the grid need 22 arrays of this size, 1.5 GB
 LABELS = 1e-9  # tolerance of characteristics
 EXACT = 10.0  # factor of the rounding errors of exact solutions
 ROUGH = 2.0  # factor of an estimate from coarser grids
@@ -174,7 +175,8 @@ class _Search:
 
     def errors(self) -> Errors:
         """Return the estimates of the errors of a run that has none."""
-        off_grid = self.features - {Feature.REFRESH} <= METHODS["fronts"].supports
+        small = not self.run.stepped or self.run.u.size <= MOST_READ
+        off_grid = small and self.features - {Feature.REFRESH} <= METHODS["fronts"].supports
         if self._closed_form():
             return self.stated
         if off_grid and self.run.method == "fronts":

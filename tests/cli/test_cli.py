@@ -64,6 +64,25 @@ def contents(folder):
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in files}
 
 
+def test_a_run_counts_the_memory_of_its_files(folder, call, monkeypatch):
+    """5 snapshots: 24 * 5 + 24 numbers of 8 bytes for each of 160 cells are 184 kB with files, 96 kB without."""
+    pages, sysconf = {"SC_PAGE_SIZE": 1024, "SC_PHYS_PAGES": 150}, os.sysconf
+    monkeypatch.setattr(os, "sysconf", lambda name: pages.get(name) or sysconf(name))
+    code, _, err = call("run", "scene.toml")
+    assert code == 2 and not Path("results").exists()
+    said = " ".join(err.split())
+    for words in (
+        "scene.toml: [domain] cells = 160 with 5 snapshots needs",
+        "at most 133 cells fit",
+        "--no-plots and --no-vtk",
+    ):
+        assert words in said
+    assert call("run", "scene.toml", "--no-plots", "--no-vtk")[0] == 0
+    pages["SC_PHYS_PAGES"] = 90
+    code, _, err = call("run", "bare.toml")
+    assert code == 2 and "needs" in err and "--no-vtk" not in err
+
+
 def test_run_then_plot_and_export_again(folder, call):
     code, out, err = call("run", "scene.toml")
     assert (code, err) == (0, "")

@@ -329,3 +329,15 @@ def test_arithmetic_of_errors():
         5.0,
     )
     assert np.isnan(UNKNOWN.largest(UNKNOWN).u)
+
+
+def test_a_run_with_very_many_values_is_compared_on_coarser_grids(monkeypatch):
+    """References off the grid would be read at all of its nodes, which takes more memory than the run."""
+    problem, grid = hj.Problem(hj.rational(), hj.bumps([1.0], [-3.0], [0.5]), end=1.0), hj.Grid(-6.0, 200)
+    error, usual = solved_error(problem, grid), solved(problem, grid).error_estimate
+    monkeypatch.setattr(stated_error, "MOST_READ", 201 * problem.kept)
+    assert solved(problem, grid).error_estimate == usual
+    monkeypatch.setattr(stated_error, "MOST_READ", 201 * problem.kept - 1)
+    coarser = solved(problem, grid).error_estimate
+    assert coarser != usual
+    assert LOW <= usual / error <= HIGH and LOW <= coarser / error <= HIGH

@@ -13,8 +13,7 @@ from hjprofile.solvers.grids.factor import Factor
 from hjprofile.solvers.grids.flux import Flux
 from hjprofile.solvers.grids.grid_law import GridLaw
 from hjprofile.solvers.grids.high_order import HighOrder
-from hjprofile.solvers.grids.kernels import grid_loops as kernels
-from hjprofile.solvers.grids.kernels import wavefront
+from hjprofile.solvers.grids.kernels import grid_loops, wavefront
 from hjprofile.solvers.grids.scheme import HALO
 from hjprofile.solvers.run import Array
 
@@ -39,7 +38,7 @@ class HamiltonJacobi:
         self.q, self.K = np.empty(grid.cells), np.ones(grid.cells + 1)
         self.toe_gain = self.crest_lowering = 0.0
         # the first and the last node at which W differs from its value at that end
-        self.active = kernels.flat_ends(self.W, 0, grid.cells, W[0], W[-1])
+        self.active = grid_loops.flat_ends(self.W, 0, grid.cells, W[0], W[-1])
 
     def evaluate(self) -> float:
         _means(self.W, self.grid.dx, self.q)
@@ -64,7 +63,7 @@ class HamiltonJacobi:
         )
         self.toe_gain += toe_gain
         self.crest_lowering += float(self.before[b] - W[-1])
-        self.active = kernels.flat_ends(self.W, a, b, self.W[0], self.W[-1])
+        self.active = grid_loops.flat_ends(self.W, a, b, self.W[0], self.W[-1])
         return max(float(speed), speed_outside)
 
     def roll_back(self) -> None:
@@ -84,7 +83,7 @@ class HighOrderHamiltonJacobi(HighOrder):
         return self.state
 
     def _flat_ends(self, first: int, last: int) -> tuple[int, int]:
-        return kernels.flat_ends(self.state, first, last, self.state[0], self.state[-1])
+        return grid_loops.flat_ends(self.state, first, last, self.state[0], self.state[-1])
 
     def _means(self, state: Array, q: Array) -> None:
         _means(state, self.grid.dx, q)
