@@ -105,11 +105,8 @@ class HighOrder(WithRollback):
         raise NotImplementedError
 
     def evaluate(self) -> float:
-        self._means(self.state, self.q)
-        if not np.min(self.q) > -1.0:
-            raise Breakdown(self.q, self.K)
+        edges, self.q[:] = self._edges(self.state, self.K)
         self.law = self.law.covering(self.q)
-        edges = self._edges(self.q)
         self._fluxes(edges, self.inflow, self.K, self.factor.given())
         return self._speed(self.q, edges, self.K)
 
@@ -119,15 +116,18 @@ class HighOrder(WithRollback):
         self._means(self.state[a : b + nodes], self.q[a:b])
         return a, self.q[a:b]
 
-    def _edges(self, q: Array) -> Array:
-        """Return q on the left of the nodes, from q on the cells."""
-        g = kernels.GHOSTS
-        padded = np.empty(q.size + 2 * g)
-        padded[g:-g] = q
+    def _edges(self, state: Array, K: Array, first: int = 0) -> tuple[Array, Array]:
+        """Return q on the left of the nodes, and q on the cells. Raise Breakdown if q is not above -1."""
+        g, nodes = kernels.GHOSTS, self.state.size - self.grid.cells
+        padded = np.empty(state.size - nodes + 2 * g)
+        q = padded[g:-g]
+        self._means(state, q)
+        if not q.min() > -1.0:  # excludes NaN
+            raise Breakdown(q, K, first)
         kernels.ghosts(padded)
         edges = np.empty(q.size + 1)
         self.order.edges(padded, edges)
-        return edges
+        return edges, q
 
     def _fluxes(self, edges: Array, inflow: float, K: Array, given: Array | None) -> Array:
         """Return F at the nodes; fill K from q on the left of the nodes, or as prescribed."""
@@ -166,14 +166,12 @@ class HighOrder(WithRollback):
         speeds: list[float] = []
 
         def fluxes(y: Array) -> Array:
-            q = np.empty(b - a)
-            self._means(y[:-3], q)
-            if not q.min() > -1.0:
-                raise Breakdown(q, K, a)
-            edges = self._edges(q)
-            F = self._fluxes(edges, inflow, K, self.factor.given(start + y[-1], slice(a, b + 1)))
-            if not speeds:  # of states, not of stages
-                speeds.append(max(self._speed(q, edges, K, a), speed_outside))
+            given = self.factor.given(start + y[-1], slice(a, b + 1))
+            if speeds:
+                return self._fluxes(self._edges(y[:-3], K, a)[0], inflow, K, given)
+            edges, q = self._edges(y[:-3], K, a)
+            F = self._fluxes(edges, inflow, K, given)
+            speeds.append(max(self._speed(q, edges, K, a), speed_outside))  # of states, not of stages
             return F
 
         def rate(y: Array) -> Array:
