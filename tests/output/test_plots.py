@@ -373,6 +373,17 @@ def test_panels_have_letters(name):
     assert [[text.get_text() for text in axes.texts] for axes in panels] == [["(a)"], ["(b)"], ["(c)"]]
 
 
+@pytest.mark.parametrize("end", [2.5e-5, 0.0042])
+def test_small_times_have_room(end):
+    """On the colour bar: 2.5e-5 instead of 2.5e-05."""
+    problem = hj.Problem(hj.rational(), hj.bumps([0.8, -0.3], [-3.0, -1.5], [0.3, 0.2]), end=end, snapshots=3)
+    figure = draw_profiles(hj.solve_hj(problem, hj.Grid(-5.0, 200)))
+    figure.canvas.draw()
+    (bar,) = (axes for axes in figure.axes if axes.get_label() == "<colorbar>")
+    assert bar.yaxis.get_label().get_window_extent().x1 <= figure.bbox.x1 + 1
+    assert not any("e-0" in tick.get_text() for tick in bar.get_yticklabels())
+
+
 def test_a_line_through_many_points_keeps_its_extremes():
     n = 300_003
     y = np.cumsum(np.random.default_rng(5).standard_normal(n))

@@ -252,7 +252,7 @@ def axis_of_time(time: Array, units: Units | None) -> tuple[float, str, Callable
     label = "supplied mass t"
     if units:
         label = f"supplied volume per width ({units.unit}²)" if units.unit else f"supplied, per width ({UNNAMED}²)"
-    return unit, label, lambda v, _: f"{v:.3g}".replace("e+0", "e") if many else f"{v:,g}"
+    return unit, label, lambda v, _: (f"{v:.3g}" if many else f"{v:,g}").replace("e+0", "e").replace("e-0", "e-")
 
 
 def shown_times(run: Run) -> tuple[Array, Callable[[int], Any]]:
