@@ -9,7 +9,7 @@ import pytest
 import tomli_w
 from bad_cases import changed
 from grid_methods import LAYER_METHOD, scheme_of
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from oracles import resolved_layer
 
@@ -206,14 +206,18 @@ def fluxes():
 
 @settings(max_examples=40, deadline=None)
 @given(profiles(-0.9), fluxes(), st.floats(0.2, 1.0))
+@example(hj.steps([-4.0, -0.3], [-0.00390625]), "1.0*exp(-3.0*t)", 1.0)
 def test_layer_and_slope_stay_positive_and_grains_are_kept(profile, supply_flux, cfl):
     """h > 0 and p > 0 for any supply flux; mass and grains to rounding, signs and the L1 norm as they should."""
     problem = hj.Problem(hj.rational(), profile, end=1.5, snapshots=4, supply_flux=supply_flux)
     run = hj.solve_conservative(problem, hj.Grid(-4.5, 90), LAYER_METHOD, cfl)
     assert run.done and run.broken_bounds == []
     assert np.all(run.q > -1.0) and np.all(run.K[1:] > 0.0)
-    # not a theorem for (1.6), but with a layer that fills for the first time no slope ever fell below the least
-    assert run.q.min() >= min(run.q[0].min(), 0.0) - 1e-12
+    # q_t = -q h_x where q is uniform: a layer that thins uphill makes gentle slopes gentler, as a falling supply does.
+    # With a rising one no slope ever fell below the least, which is not a theorem for (1.6)
+    flux = problem.supply_flux
+    if isinstance(flux, float) or np.all(np.diff(flux.values(np.linspace(0.0, problem.end, 301))) >= 0.0):
+        assert run.q.min() >= min(run.q[0].min(), 0.0) - 1e-12
     grains = run.eroded_volume + problem.end
     assert run.volume_budget_error <= 1e-11 * (1.0 + grains)
 
