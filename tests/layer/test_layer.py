@@ -213,11 +213,12 @@ def test_layer_and_slope_stay_positive_and_grains_are_kept(profile, supply_flux,
     run = hj.solve_conservative(problem, hj.Grid(-4.5, 90), LAYER_METHOD, cfl)
     assert run.done and run.broken_bounds == []
     assert np.all(run.q > -1.0) and np.all(run.K[1:] > 0.0)
-    # q_t = -q h_x where q is uniform: a layer that thins uphill makes gentle slopes gentler, as a falling supply does.
-    # With a rising one no slope ever fell below the least, which is not a theorem for (1.6)
-    flux = problem.supply_flux
-    if isinstance(flux, float) or np.all(np.diff(flux.values(np.linspace(0.0, problem.end, 301))) >= 0.0):
-        assert run.q.min() >= min(run.q[0].min(), 0.0) - 1e-12
+    # not a theorem for (1.6), but with a constant or rising supply no slope ever fell below the least. With a falling
+    # one the scheme falls below it, by 2 % at most in 3664 random scenes; in the four worst by less on finer grids, and
+    # in the worst of all the resolved model does not
+    flux, least = problem.supply_flux, min(run.q[0].min(), 0.0)
+    rises = isinstance(flux, float) or np.all(np.diff(flux.values(np.linspace(0.0, problem.end, 301))) >= 0.0)
+    assert run.q.min() >= least - 1e-12 - (0.0 if rises else 0.05 * abs(least))
     grains = run.eroded_volume + problem.end
     assert run.volume_budget_error <= 1e-11 * (1.0 + grains)
 

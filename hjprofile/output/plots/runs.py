@@ -56,9 +56,9 @@ def draw_profiles(run: Run) -> Figure:
     top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
     shown, colour = style.shown_times(run)
     cells = run.units.x(run.x_cell) if run.units else run.x_cell
-    at = style.visible(u[0], u[-1], u[-1] - u[0])
-    _shade(top, x[at], u[0, at], u[-1, at])
-    _shade(middle, x[at], 0.0, u[-1, at] - u[0, at])
+    drawn = style.visible(u[0], u[-1], u[-1] - u[0])
+    _shade(top, x[drawn], u[0, drawn], u[-1, drawn])
+    _shade(middle, x[drawn], 0.0, u[-1, drawn] - u[0, drawn])
     for i in shown:
         style.draw_line(top, x, u[i], color=colour(i), lw=0.9)
         style.draw_line(middle, x, u[i] - u[0], color=colour(i), lw=0.9)
